@@ -98,16 +98,16 @@ def _plain(
         children.append((child, child.stdin, child.stdout))
     took, wrong = [], 0
     try:
-        for _, _, said in children:
-            assert said is not None
-            said.readline()
+        for _, _, replies in children:
+            assert replies is not None
+            replies.readline()
         for shot in range(shots):
             begun = time.perf_counter()
-            for index, (_, asked, said) in enumerate(children):
-                assert asked is not None
-                assert said is not None
-                asked.write(f"{out}/{shot}-{index}\n")
-                said.readline()
+            for index, (_, requests, replies) in enumerate(children):
+                assert requests is not None
+                assert replies is not None
+                requests.write(f"{out}/{shot}-{index}\n")
+                replies.readline()
             took.append(time.perf_counter() - begun)
             for index, expected in enumerate(photographs):
                 wrong += (out / f"{shot}-{index}").read_bytes() != expected

@@ -1,9 +1,9 @@
 """A thousand shots, one in ten with a fault of every kind: what is lost, what is mislabelled.
 
 Nine simulated cameras and an LED device have every fault that the simulator knows; `lightstage
-capture --unattended` takes the shots, and is gone on with (`--resume`) whenever it gives up, as an
-operator does who changes batteries and turns wheels back meanwhile. Every photograph's pixels say
-which camera took it under which light, and are asked at the end. Beside it the gphoto2 command line
+capture --unattended` takes the shots, and is resumed (`--resume`) whenever it gives up, as by an
+operator who changes batteries and turns wheels back meanwhile. Every photograph's pixels hold
+which camera took it under which light, and are read at the end. Beside it the gphoto2 command line
 under those of the faults that libgphoto2's virtual cameras can have (benchmarks/gphoto2_faults.py).
 """
 
@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.fault_story import operator_mends, told, trial_story
+from benchmarks.fault_story import faults_injected, operator_mends, trial_story
 from benchmarks.gphoto2_faults import cli_rows, require_cli
 from benchmarks.record import record
 from lightstage.formats.files import write_text
@@ -46,7 +46,7 @@ max_flashes_per_s = 30.0
 max_light_on_s = 86400.0
 max_heat = 1.0
 
-# Pictures of 48 x 64 pixels have no fine detail to speak of.
+# Pictures of 48 x 64 pixels have hardly any fine detail.
 [checks]
 min_sharpness = 0.0
 warn_sharpness = 0.0
@@ -67,7 +67,7 @@ class Trial:
         photographs: that count.
         labels: of all sessions together.
         retakes: photographs taken again.
-        resumes: captures that gave up and were gone on with.
+        resumes: captures that gave up and were resumed.
         reasons: the line with which each of them ended.
         seconds: of all captures, devices' connecting included.
         taking_s: of these, from the first light on.
@@ -130,7 +130,7 @@ def run_trial(desk: Path, shots: int, story: Story | None, seed: int) -> Trial:
 def _take(
     stage: CodedStage, root: Path, patterns: Sequence[str], config: Path, trial: Trial
 ) -> None:
-    """One session to its end, gone on with as often as it must be."""
+    """One session to its end, resumed as often as it must be."""
     common = [
         *(sys.executable, "-m", "lightstage", "capture", "--out", str(root)),
         *("--leds", stage.device.url(0.5, 5), "--cameras", str(stage.cameras_path)),
@@ -142,8 +142,8 @@ def _take(
         done = _watched([*common, *more], root, trial)
         if done.returncode == 0:
             break
-        said = [line for line in done.stderr.splitlines() if "Error: " in line]
-        trial.reasons.append((said or ["nothing"])[-1][:300])
+        errors = [line for line in done.stderr.splitlines() if "Error: " in line]
+        trial.reasons.append((errors or ["nothing"])[-1][:300])
         print(f"gave up: {trial.reasons[-1]}", file=sys.stderr)
         if done.returncode != 2 or "Traceback" in done.stderr:
             raise SystemExit(f"exit code {done.returncode}:\n{done.stderr}")
@@ -177,13 +177,13 @@ def _watched(command: Sequence[str], root: Path, trial: Trial) -> subprocess.Com
 
 
 def _shots_done(root: Path) -> int:
-    """Shots that a session's journal says are done."""
+    """Shots that a session's journal reports as done."""
     path = root / "journal.jsonl"
     return path.read_bytes().count(b'"event": "shot"') if path.exists() else 0
 
 
 def _memory_mb(pid: int) -> float:
-    """Resident memory of a process; 0 when it has gone."""
+    """Resident memory of a process; 0 when it has ended."""
     try:
         status = Path(f"/proc/{pid}/status").read_text()
     except OSError:
@@ -249,15 +249,15 @@ def main() -> None:
         desk = given.keep or Path(name)
         story = trial_story(rig, given.shots, given.seed)
         faulty = run_trial(desk / "faults", given.shots, story, given.seed)
-        happened = told(desk / "faults" / "sim" / "faults.jsonl")
+        happened = faults_injected(desk / "faults" / "sim" / "faults.jsonl")
         calm_shots = min(given.shots, len(sequences(rig, 10_000)[0]))
         calm = run_trial(desk / "calm", calm_shots, None, given.seed)
         peers = cli_rows(desk / "cli", rig, given.cli_shots, given.seed)
     for each in dataclasses.fields(Labels)[1:]:
-        for said in getattr(faulty.labels, each.name)[:10]:
-            print(f"{each.name}: {said}", file=sys.stderr)
-    for said in sorted(set(faulty.reasons)):
-        print(f"gave up {faulty.reasons.count(said)} times: {said}", file=sys.stderr)
+        for reason in getattr(faulty.labels, each.name)[:10]:
+            print(f"{each.name}: {reason}", file=sys.stderr)
+    for reason in sorted(set(faulty.reasons)):
+        print(f"gave up {faulty.reasons.count(reason)} times: {reason}", file=sys.stderr)
     record(
         "Acquisition under faults: 1,000 shots",
         [
@@ -278,7 +278,7 @@ def main() -> None:
         [row("with faults", faulty), row("without", calm)],
         f"Faults that happened: {', '.join(f'{k} {n}' for k, n in sorted(happened.items()))}. "
         "Overhead: all time beside the exposures, resuming included. Wrong light: a lamp that "
-        "failed and said that it had not. Tested with simulated cameras and lights.",
+        "failed and reported that it had not. Tested with simulated cameras and lights.",
     )
     record(
         "Acquisition under faults: the gphoto2 command line",

@@ -151,14 +151,14 @@ def plain(root: Path, rows: int, scale: float) -> list[str]:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser()
-    asked.add_argument("--rows", type=int, default=ROWS)
-    asked.add_argument("--scale", type=float, default=SCALE)
-    asked.add_argument("--no-peer", action="store_true")
-    given = asked.parse_args()
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--rows", type=int, default=ROWS)
+    parser.add_argument("--scale", type=float, default=SCALE)
+    parser.add_argument("--no-peer", action="store_true")
+    arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        rows = textured(Path(folder), given.rows, given.scale, peer=not given.no_peer)
-        steps = plain(Path(folder), given.rows, given.scale)
+        rows = textured(Path(folder), arguments.rows, arguments.scale, peer=not arguments.no_peer)
+        steps = plain(Path(folder), arguments.rows, arguments.scale)
     print(steps)
     record(
         "Atlas: known texture from nine views",
@@ -171,8 +171,9 @@ def main() -> None:
             "processor s",
         ],
         rows,
-        f"{given.rows} rows, cameras of {given.scale:g} of their full size, true mesh; diffuse "
-        f"albedo alone. Open3D: square and 8-bit, linear codes, tex_size {given.rows}. Even tone: "
+        f"{arguments.rows} rows, cameras of {arguments.scale:g} of their full size, true mesh; "
+        f"diffuse albedo alone. Open3D: square and 8-bit, linear codes, tex_size {arguments.rows}. "
+        "Even tone: "
         f"step where the heaviest view changes {steps[1]} mean, {steps[2]} at most; farthest from "
         f"the tone anywhere, background {5.0 / TONE:.0f} times as bright, {steps[3]}.",
     )

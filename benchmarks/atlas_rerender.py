@@ -25,24 +25,24 @@ from processing.rays import MeshRays, interpolate
 def photograph(out: ProcessedFolder, camera: str, shape: tuple[int, int]) -> np.ndarray:
     """(h, w, 3) linear photograph under full light, 0 outside the window that was kept."""
     folder = out.root / "work" / "frames" / camera
-    told = json.loads((folder / "frames.json").read_text())
-    kept = np.load(folder / "half.npy", mmap_mode="r")[told["patterns"].index("full")]
-    top, left = told["window"]["top"], told["window"]["left"]
+    facts = json.loads((folder / "frames.json").read_text())
+    kept = np.load(folder / "half.npy", mmap_mode="r")[facts["patterns"].index("full")]
+    top, left = facts["window"]["top"], facts["window"]["left"]
     image = np.zeros((*shape, 3), np.float32)
     image[top : top + kept.shape[0], left : left + kept.shape[1]] = kept
     return image
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser()
-    asked.add_argument("session", type=Path)
-    asked.add_argument("out", type=Path)
-    asked.add_argument("camera")
-    asked.add_argument("picture", type=Path)
-    asked.add_argument("--columns", type=int, default=900, help="of the picture, at most")
-    given = asked.parse_args()
-    session, out = load_session(given.session), ProcessedFolder(given.out)
-    camera = next(c for c in session.rig.cameras if c.id == given.camera)
+    parser = argparse.ArgumentParser()
+    parser.add_argument("session", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("camera")
+    parser.add_argument("picture", type=Path)
+    parser.add_argument("--columns", type=int, default=900, help="of the picture, at most")
+    arguments = parser.parse_args()
+    session, out = load_session(arguments.session), ProcessedFolder(arguments.out)
+    camera = next(c for c in session.rig.cameras if c.id == arguments.camera)
     mesh = read_obj(out.registered_mesh)
     assert mesh.uvs is not None
     triangles = mesh.triangles()
@@ -79,10 +79,10 @@ def main() -> None:
     rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
     pair = np.concatenate([photo[box], gain * made[box]], axis=1)
-    smaller = min(given.columns / pair.shape[1], 1)
+    smaller = min(arguments.columns / pair.shape[1], 1)
     pair = np.asarray(cv2.resize(pair, None, fx=smaller, fy=smaller, interpolation=cv2.INTER_AREA))
     image = np.round(255 * srgb_from_linear(np.clip(pair / white, 0, 1))).astype(np.uint8)
-    cv2.imwrite(str(given.picture), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
+    cv2.imwrite(str(arguments.picture), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
 if __name__ == "__main__":

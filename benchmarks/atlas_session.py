@@ -28,7 +28,7 @@ from processing.registration.target import Target
 
 PART_TEXELS = 500_000
 CROPS = {"cheek": 2, "side of the nose": 31, "ear": 0}
-"""Landmarks around which crops are cut; the cheek lies between the jaw's and the nose's."""
+"""Landmarks around which crops are cut; the cheek is between the jaw's and the nose's."""
 CROP_PX = 360
 
 
@@ -144,16 +144,16 @@ def crops(out: ProcessedFolder, template: Template, path: Path) -> None:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser()
-    asked.add_argument("session", type=Path)
-    asked.add_argument("out", type=Path)
-    asked.add_argument("truth", type=Path)
-    asked.add_argument("--picture", type=Path)
-    given = asked.parse_args()
-    out, truth = ProcessedFolder(given.out), ProcessedFolder(given.truth)
+    parser = argparse.ArgumentParser()
+    parser.add_argument("session", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("truth", type=Path)
+    parser.add_argument("--picture", type=Path)
+    arguments = parser.parse_args()
+    out, truth = ProcessedFolder(arguments.out), ProcessedFolder(arguments.truth)
     template = load_template(default_template_path())
-    if given.picture:
-        crops(out, template, given.picture)
+    if arguments.picture:
+        crops(out, template, arguments.picture)
     scan, surface = read_ply(out.base_mesh), Target(read_ply(truth.base_mesh))
     registered = read_obj(out.registered_mesh)
     near = Target(scan).closest(registered.vertices)
@@ -183,21 +183,21 @@ def main() -> None:
     right[inside] = true_values(truth, place[inside].astype(float), "diffuse_albedo")
     gain = float((found[inside] * right[inside]).sum() / (found[inside] ** 2).sum())
     warped, shift = aligned(found, right, inside)
-    texel = json.loads((given.out / "report.json").read_text())["stages"]["atlas"]
+    texel = json.loads((arguments.out / "report.json").read_text())["stages"]["atlas"]
     table += [
         ["diffuse albedo where two or more see, PSNR dB", f"{psnr((found - right)[inside]):.1f}"],
         ["after dense flow in UV", f"{psnr((warped - right)[inside]):.1f}"],
         ["after the best single gain", f"{psnr((gain * found - right)[inside]):.1f} ({gain:.3f})"],
         ["flow's median, texels (mm)", f"{shift:.2f} ({shift * texel['texel_mm_median']:.3f})"],
     ]
-    table += by_peer(registered, load_session(given.session), out, truth, len(found))
+    table += by_peer(registered, load_session(arguments.session), out, truth, len(found))
     for line in table:
         print(line, flush=True)
     record(
-        f"Registration and atlas behind our own reconstruction: {given.session.parent.name}",
+        f"Registration and atlas behind our own reconstruction: {arguments.session.parent.name}",
         ["what", "found"],
         table,
-        f"{given.session.parent.name}; own decode, separate, reconstruct, refine, register and "
+        f"{arguments.session.parent.name}; own decode, separate, reconstruct, refine, register and "
         f"atlas of {len(found)} rows with our template; truth at a texel is the true map at the "
         f"true head's point closest to it. Head: Lee Perry-Smith, CC BY 3.0.",
     )

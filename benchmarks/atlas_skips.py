@@ -4,8 +4,8 @@ python -m benchmarks.atlas_skips [--scale .25] [--rows 2048] [--keep DIR]
 
 Looking (which texels a view shows), in it weighing (of each texel), reading (a view's pictures side
 by side) and adding (both bands) are timed apart, files unpacked before: beside the stage's threads
-that read and write, no skip's own seconds could be told. With a skip and without it run in turn.
-Apart: the largest change of any map's value.
+that read and write, no skip's own seconds could be measured. With a skip and without it run in
+turn. Apart: the largest change of any map's value.
 """
 
 from __future__ import annotations
@@ -204,17 +204,17 @@ def without(
 
 def main() -> None:
     """Measure, and write the table."""
-    asked = argparse.ArgumentParser(description=__doc__)
-    asked.add_argument("--scale", type=float, default=0.25, help="of cameras of 24 megapixels")
-    asked.add_argument("--rows", type=int, default=2048)
-    asked.add_argument("--keep", type=Path, help="folder of the case, made where it is not there")
-    given = asked.parse_args()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scale", type=float, default=0.25, help="of cameras of 24 megapixels")
+    parser.add_argument("--rows", type=int, default=2048)
+    parser.add_argument("--keep", type=Path, help="folder of the case, made where it is not there")
+    arguments = parser.parse_args()
     every = (LOOKING, READING, ADDING)
     with tempfile.TemporaryDirectory() as passing:
-        folder = given.keep or Path(passing) / "case"
+        folder = arguments.keep or Path(passing) / "case"
         if not (folder / "views").is_dir():
-            make_case(folder, given.scale, skin, gain_sigma=0.0, noise=NOISE)
-        bench = prepared(case_at(folder, given.scale), given.rows)
+            make_case(folder, arguments.scale, skin, gain_sigma=0.0, noise=NOISE)
+        bench = prepared(case_at(folder, arguments.scale), arguments.rows)
         merged(bench, EVERY, BlendConfig())  # compiled code is loaded before the clock starts
         rows = [
             without("tiles that look away from a view", (WEIGHING,), bench, every_tile),
@@ -239,7 +239,7 @@ def main() -> None:
             "largest change",
         ],
         rows,
-        f"{given.rows} rows from nine views of {given.scale:g} of 24 megapixels a side, "
+        f"{arguments.rows} rows from nine views of {arguments.scale:g} of 24 megapixels a side, "
         f"{len(EVERY)} maps, least of {ROUNDS} rounds in turn; files unpacked before. A half "
         "float's step is .0005 below 1. Texels and tiles without face are in no list; that "
         "unchanged inputs are not worked on again is the pipeline's doing.",

@@ -94,9 +94,9 @@ def peer(folder: Path, scale: float, rows: int) -> dict[str, Any]:
 
 def apart(*words: object) -> dict[str, Any]:
     """Run this file in another process."""
-    asked = [sys.executable, "-m", "benchmarks.atlas_speed", "--one", *map(str, words)]
-    said = subprocess.run(asked, capture_output=True, text=True, check=True).stdout
-    found: dict[str, Any] = json.loads(said.strip().splitlines()[-1])
+    command = [sys.executable, "-m", "benchmarks.atlas_speed", "--one", *map(str, words)]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    found: dict[str, Any] = json.loads(printed.strip().splitlines()[-1])
     return found
 
 
@@ -116,38 +116,38 @@ def line(name: str, rows: int, views: int, got: dict[str, Any]) -> list[str]:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser()
-    asked.add_argument("--scale", type=float, default=0.36, help="of cameras of 24 megapixels")
-    asked.add_argument("--rows", default="768,1536,3072")
-    asked.add_argument("--views", default="3,5,9")
-    asked.add_argument("--keep", type=Path, help="folder of the case, made where it is not there")
-    asked.add_argument("--no-peer", action="store_true")
-    asked.add_argument("--one", nargs="+", help="what a process of its own does")
-    given = asked.parse_args()
-    if given.one:
-        folder, scale, rows, views, *maps = given.one
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--scale", type=float, default=0.36, help="of cameras of 24 megapixels")
+    parser.add_argument("--rows", default="768,1536,3072")
+    parser.add_argument("--views", default="3,5,9")
+    parser.add_argument("--keep", type=Path, help="folder of the case, made where it is not there")
+    parser.add_argument("--no-peer", action="store_true")
+    parser.add_argument("--one", nargs="+", help="what a process of its own does")
+    arguments = parser.parse_args()
+    if arguments.one:
+        folder, scale, rows, views, *maps = arguments.one
         where = Path(folder), float(scale), int(rows)
         print(json.dumps(one(*where, int(views), maps) if maps else peer(*where)))
         return
-    sizes = [int(rows) for rows in given.rows.split(",")]
-    counts = [int(views) for views in given.views.split(",")]
+    sizes = [int(rows) for rows in arguments.rows.split(",")]
+    counts = [int(views) for views in arguments.views.split(",")]
     table = []
     every = [*BLENDED, *OPTIONAL]
     with tempfile.TemporaryDirectory() as passing:
-        folder = given.keep or Path(passing) / "case"
+        folder = arguments.keep or Path(passing) / "case"
         if not (folder / "views").is_dir():
-            make_case(folder, given.scale, skin, gain_sigma=0.0, noise=NOISE)
+            make_case(folder, arguments.scale, skin, gain_sigma=0.0, noise=NOISE)
         runs = [(rows, counts[-1]) for rows in sizes]
         runs += [(sizes[-1], views) for views in counts[:-1]]
         for rows, views in runs:
-            got = apart(folder, given.scale, rows, views, *every)
+            got = apart(folder, arguments.scale, rows, views, *every)
             table.append(line("all maps", rows, views, got))
             print(table[-1], flush=True)
-        got = apart(folder, given.scale, sizes[-1], counts[-1], "diffuse_albedo")
+        got = apart(folder, arguments.scale, sizes[-1], counts[-1], "diffuse_albedo")
         table.append(line("diffuse albedo alone", sizes[-1], counts[-1], got))
         print(table[-1], flush=True)
-        if not given.no_peer:
-            other = apart(folder, given.scale, sizes[-1], counts[-1])
+        if not arguments.no_peer:
+            other = apart(folder, arguments.scale, sizes[-1], counts[-1])
             table.append(line("Open3D, albedo alone, square", sizes[-1], counts[-1], other))
             table.append(
                 [
@@ -160,7 +160,7 @@ def main() -> None:
                     "",
                 ]
             )
-    camera = case_at(Path(passing), given.scale).session.rig.cameras[0]
+    camera = case_at(Path(passing), arguments.scale).session.rig.cameras[0]
     record(
         f"Atlas: time and memory beside error, views of {camera.width_px} x {camera.height_px}",
         [

@@ -96,8 +96,8 @@ DISKS_GB_S = (1.0, 5.0)
 
 
 def program(package: str, *words: object) -> subprocess.CompletedProcess[str]:
-    asked = [sys.executable, "-m", package, *map(str, words)]
-    return subprocess.run(asked, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", package, *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def make_sessions(at: Path, count: int) -> list[Path]:
@@ -420,9 +420,11 @@ def main() -> None:
     parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all where none is named")
     for field in dataclasses.fields(Sizes):
         parser.add_argument("--" + field.name, type=type(field.default), default=field.default)
-    asked = parser.parse_args()
-    sizes = Sizes(**{field.name: getattr(asked, field.name) for field in dataclasses.fields(Sizes)})
-    for name in asked.parts or PARTS:
+    arguments = parser.parse_args()
+    sizes = Sizes(
+        **{field.name: getattr(arguments, field.name) for field in dataclasses.fields(Sizes)}
+    )
+    for name in arguments.parts or PARTS:
         # Each in a process of its own: numba keeps the number of threads that it began with, and
         # a batch's workers have another.
         code = f"from benchmarks.batch import Sizes, measure; measure({name!r}, {sizes!r})"

@@ -56,8 +56,8 @@ def patches_a_second(place: Path, seconds: float) -> dict[str, dict[str, float]]
         for count in READERS:
             ready = context.Barrier(count)
             counts = context.Queue()
-            asked = [(form, place, seconds, seed, ready, counts) for seed in range(count)]
-            readers = [context.Process(target=read_on, args=each) for each in asked]
+            orders = [(form, place, seconds, seed, ready, counts) for seed in range(count)]
+            readers = [context.Process(target=read_on, args=each) for each in orders]
             for reader in readers:
                 reader.start()
             rates.setdefault(form, {})[str(count)] = sum(counts.get() for _ in readers)

@@ -117,7 +117,7 @@ def cost(name: str, scale: float) -> tuple[object, ...]:
 
 
 def picture(rig: Rig, pattern: str) -> np.ndarray:
-    """(h, w, 3) a textured ball, lit from the side that the pattern says."""
+    """(h, w, 3) a textured ball, lit from the side that the pattern names."""
     camera = rig.cameras[0]
     height, width = camera.height_px, camera.width_px
     y, x = np.mgrid[:height, :width].astype(np.float32)

@@ -4,7 +4,7 @@ Nine simulated cameras and an LED device stand through the whole trial, and have
 the simulator knows. Many second sessions begin with a camera that gives the last picture of the
 person before. Each session is `lightstage capture --unattended`, killed (`kill -9`) at random
 moments: the capture alone, a camera's process, or every process of it; an operator mends what an
-operator can, and goes on with it until it ends. Every photograph's pixels say which camera took it
+operator can, and resumes it until it ends. Every photograph's pixels hold which camera took it
 under which state of the lamps, and so in whose session.
 
 ``python -m benchmarks.capture_trials``: 100 sessions of three patterns; ``--sessions 10`` to try.
@@ -26,7 +26,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.acquisition_faults import CONFIG, trial_rig
-from benchmarks.fault_story import operator_mends, told, trial_story
+from benchmarks.fault_story import faults_injected, operator_mends, trial_story
 from benchmarks.record import record
 from lightstage.formats.files import write_json, write_text
 from lightstage.session import read_journal
@@ -37,7 +37,7 @@ SEQUENCE = ("full", "x+", "x-")
 MOST_TRIES = 25
 """A session that has not ended after so many captures is stuck."""
 KILLED = 0.6
-"""Share of the first captures of a session that are killed; half as many of those that go on."""
+"""Share of the first captures of a session that are killed; half as many of those that resume."""
 LATEST_KILL_S = 12.0
 LONGEST_S = 180.0
 DARK_S = 15.0
@@ -88,8 +88,10 @@ class CaptureTrials:
                 if number % 2 and self._random.random() < STALE:
                     self._give_old_picture(stage)
                 self._session(stage, self.desk / "sessions" / f"session-{number:03d}")
-                said = f"{number + 1} sessions, {self.sum.kills} kills, {self.sum.resumes} resumes"
-                print(f"{said}, {time.monotonic() - begun_s:.0f} s", file=sys.stderr, flush=True)
+                counts = (
+                    f"{number + 1} sessions, {self.sum.kills} kills, {self.sum.resumes} resumes"
+                )
+                print(f"{counts}, {time.monotonic() - begun_s:.0f} s", file=sys.stderr, flush=True)
         return self.sum
 
     def _give_old_picture(self, stage: CodedStage) -> None:
@@ -114,8 +116,8 @@ class CaptureTrials:
             if ended or _is_finished(root):  # it may be killed after its last line
                 break
             self.sum.resumes += 1
-            said = [each for each in self._said().splitlines() if "Error: " in each]
-            print(f"{root.name}: {(said or ['nothing'])[-1][:200]}", file=sys.stderr)
+            errors = [each for each in self._printed().splitlines() if "Error: " in each]
+            print(f"{root.name}: {(errors or ['nothing'])[-1][:200]}", file=sys.stderr)
             operator_mends(stage)
             _put_cards_in(stage)
             advised = self._advised_retakes(root)
@@ -142,12 +144,12 @@ class CaptureTrials:
     def _advised_retakes(self, root: Path) -> list[list[str]]:
         """The commands that a session's captures advised, for taking other patterns again."""
         begins = f"lightstage retake {root} "
-        lines = [line for line in self._said().splitlines() if begins in line]
+        lines = [line for line in self._printed().splitlines() if begins in line]
         words = [shlex.split(line[line.index(begins) :]) for line in lines]
         return [[sys.executable, "-m", *each] for each in words]
 
-    def _said(self) -> str:
-        """What all captures have said so far."""
+    def _printed(self) -> str:
+        """What all captures have printed so far."""
         return (self.desk / "said.txt").read_text(errors="replace")
 
     def _chance(self, share: float) -> bool:
@@ -166,8 +168,8 @@ class CaptureTrials:
 
     def _run(self, command: Sequence[str], after_s: float | None) -> int:
         """Run a command; its exit code, or -9 where it was killed."""
-        with (self.desk / "said.txt").open("ab") as said:
-            child = subprocess.Popen(command, stdout=said, stderr=said, start_new_session=True)
+        with (self.desk / "said.txt").open("ab") as log:
+            child = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
         try:
             if after_s is not None and not wait_until(lambda: child.poll() is not None, after_s):
                 self._kill(child)
@@ -236,17 +238,17 @@ def main() -> None:
     begun_s = time.monotonic()
     with tempfile.TemporaryDirectory() as name:
         total = CaptureTrials(Path(name), given.seed).run(given.sessions, given.seed)
-        happened = told(Path(name) / "sim" / "faults.jsonl")
-        said = (Path(name) / "said.txt").read_text(errors="replace")
+        happened = faults_injected(Path(name) / "sim" / "faults.jsonl")
+        printed = (Path(name) / "said.txt").read_text(errors="replace")
     seconds = time.monotonic() - begun_s
     for field, value in dataclasses.asdict(total).items():
         for each in value if isinstance(value, list) else ():
             print(f"{field}: {each}", file=sys.stderr)
-    ends = collections.Counter(line[:160] for line in said.splitlines() if "Error: " in line)
+    ends = collections.Counter(line[:160] for line in printed.splitlines() if "Error: " in line)
     for line, count in ends.most_common(10):
         print(f"gave up {count} times: {line}", file=sys.stderr)
-    if "Traceback" in said:
-        print(f"a traceback: {said[said.index('Traceback') :][:3000]}", file=sys.stderr)
+    if "Traceback" in printed:
+        print(f"a traceback: {printed[printed.index('Traceback') :][:3000]}", file=sys.stderr)
     header = [
         *("sessions", "photographs", "kills", "resumes", "old pictures"),
         *("lost", "mislabelled", "of another person", "doubled", "wrong light"),
@@ -258,7 +260,7 @@ def main() -> None:
         rows(seconds, total),
         f"Faults that happened: {', '.join(f'{k} {n}' for k, n in sorted(happened.items()))}. "
         "Old pictures: of the person before, at a session's first shot. "
-        "Wrong light: a lamp that failed and said that it had not. Tested with "
+        "Wrong light: a lamp that failed and reported that it had not. Tested with "
         "simulated cameras and lights.",
     )
 

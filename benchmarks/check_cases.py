@@ -120,7 +120,7 @@ def _whole(stage: Stage, name: str, size: str, gain: float, who: str) -> Case:
 
 
 def _lights(stage: Stage, rng: np.random.Generator) -> Iterator[Case]:
-    """Lamps that do not do what the device says."""
+    """Lamps that do not do what the device reports."""
     for lamp in stage.lamps[:3]:
         number = int(lamp.split("-")[1])
 

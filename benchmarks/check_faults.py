@@ -146,7 +146,7 @@ def simulate(
     person = parametric_subject(f"p{seed}", seed, faces[seed % len(faces)], texture_rows, traits)
     lamps = lamps_of(rig, flaws.lamps, seed)
     count = len(rig.lights)
-    # Even light, as by the solid angle that a lamp stands for, in every other session.
+    # Even light, as by the solid angle that a lamp represents, in every other session.
     even = even_levels(lamps_of(rig))
     drive = np.ones(count) if seed % 2 else even / even.max()
     world = World(person, rig, lamps=lamps)

@@ -14,11 +14,11 @@ import numpy as np
 from benchmarks.record import record
 from lightstage.commands import quiet
 from lightstage.rig import default_rig
-from processing.calibration.colour.difference import delta_e_2000, lab_from_linear
 from processing.calibration.colour.fit import ChartSample, ColourFitConfig, fit_colour
 from processing.calibration.folder import read_source
 from processing.calibration.stage import CalibrateConfig, calibrate
 from processing.colour import ColourCorrection
+from processing.colour_difference import delta_e_2000, lab_from_linear
 from sim.camera.flaws import PRESETS
 from sim.camera.optics import make_lens
 from sim.skin.pigments import WAVELENGTHS_NM, reflectance

@@ -27,7 +27,7 @@ STEPS = 600
 
 @dataclasses.dataclass(frozen=True)
 class Patches:
-    """Published patches and, to judge by, where they lay.
+    """Published patches and, to judge by, where they were.
 
     Attributes:
         maps: by name (n, size, size, c) float32.
@@ -49,7 +49,7 @@ def oriented(image: np.ndarray, turns: int, mirrored: bool) -> np.ndarray:
 
 
 def left_edges(patches: Patches, turns: int, mirrored: bool) -> dict[str, np.ndarray]:
-    """What lies along the left edge from top to bottom, and what it becomes in the gap.
+    """What is along the left edge from top to bottom, and what it becomes in the gap.
 
     Returns:
         Profiles (n, BINS, c): `colour` (log albedo and gloss), `normal`, `place`, the same with
@@ -88,7 +88,7 @@ def described(edges: dict[str, np.ndarray], turned: bool) -> dict[str, np.ndarra
     edges = dict(edges)
     for on in ("", "_on"):
         normal, place = f"normal{on}", f"place{on}"
-        # Each patch's mean was taken away: where an edge lies says nothing, its form does.
+        # Each patch's mean was taken away: an edge's height shows nothing, its form does.
         edges[place] = edges[place] - edges[place].mean(axis=1, keepdims=True)
         if turned:
             along = edges[place][:, -8:].mean(axis=1) - edges[place][:, :8].mean(axis=1)
@@ -220,9 +220,9 @@ class Matcher:
         weight = torch.tensor(float((len(y) - y.sum()) / y.sum()))
         for _ in range(STEPS):
             drawn = torch.from_numpy(rng.integers(0, len(y), 1024))
-            said = self._network(inputs[drawn])[:, 0]
+            predicted = self._network(inputs[drawn])[:, 0]
             loss = torch.nn.functional.binary_cross_entropy_with_logits(
-                said, wanted[drawn], pos_weight=weight
+                predicted, wanted[drawn], pos_weight=weight
             )
             optimiser.zero_grad()
             loss.backward()
@@ -255,7 +255,7 @@ class Edges:
     def compare(self, side: int) -> tuple[np.ndarray, list[tuple[int, bool]]]:
         """Features of all patches' true right (0) or lower (1) edges beside all edges there are.
 
-        The attacker is told which of the four edges it is, which only helps.
+        The attacker knows which of the four edges it is, which only helps.
 
         Returns:
             (ways, n, n, f), and the ways.

@@ -97,13 +97,13 @@ def neighbour_row(store: Store, gap: float, wander: float, turned: bool) -> list
     tried = found.tried
     shares = [found.right / tried, found.early / tried, found.chance, found.person / tried]
     exact, ten, by_chance, same = (f"{100 * share:.1f} %" for share in shares)
-    said = f"{found.right} of {tried}, {exact}"
+    result = f"{found.right} of {tried}, {exact}"
     return [
         f"{gap:g}",
         f"{wander:g}",
         "yes" if turned else "no",
         str(count),
-        said,
+        result,
         ten,
         by_chance,
         same,

@@ -54,7 +54,7 @@ def trial_story(rig: Rig, shots: int, seed: int) -> Story:
     for number, name in enumerate(lamps):
         at = round(PACKETS_A_SHOT * shots * (number + 1) / (len(lamps) + 1))
         more = {} if name == "swapped-bank" else {"lights": LAMPS}
-        # One that the device tells of stops every capture at once; others pass unseen for shots.
+        # One that the device reports stops every capture at once; others pass unseen for shots.
         lasts = 8 if name in ("stuck-on", "dead-light") else 2 * PACKETS_A_SHOT
         faults.append(Fault(name, at=at, until=at + lasts, **more))
     ids = [each.id for each in rig.cameras]
@@ -62,9 +62,9 @@ def trial_story(rig: Rig, shots: int, seed: int) -> Story:
     faults.append(Fault("fill-up", camera=ids[2], at=third, until=third + 1))
     # Last, so that to take it out of a camera's story changes nothing that is drawn.
     faults.append(Fault("duplicate-serial", camera=ids[5], at=2 * third, until=2 * third + 2))
-    told = {fault.name for fault in faults}
+    described = {fault.name for fault in faults}
     possible = set(NAMES) - set(OF_ICL)
-    assert told == possible, possible - told
+    assert described == possible, possible - described
     return Story(faults, seed)
 
 
@@ -84,7 +84,7 @@ def operator_mends(stage: CodedStage) -> None:
             write_json(folder / "camera.json", value)
 
 
-def told(log: Path) -> collections.Counter[str]:
+def faults_injected(log: Path) -> collections.Counter[str]:
     """How often each fault happened."""
     lines = [json.loads(line) for line in log.read_text().splitlines()]
     return collections.Counter(str(line["name"]) for line in lines)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 TAKEN = ("seconds", "peak_rss_mb", "frames_kept_from_the_last_run")
-"""Facts that tell what a run took, and what it found there."""
+"""Facts of what a run took, and what it found there."""
 PAGE = "report.html"
 """Shows the facts of report.json, so it differs where they do."""
 

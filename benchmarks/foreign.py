@@ -68,20 +68,21 @@ def main() -> None:
     parser.add_argument("--unseen", action="store_true", help="scenes not looked at while working")
     parser.add_argument("--keep", type=Path, default=folder() / "foreign", help="folder")
     parser.add_argument("--no-record", action="store_true", help="print rows alone")
-    told = parser.parse_args()
-    half = [name for name, case in CASES.items() if case.seen != told.unseen]
-    for name in told.cases.split(",") if told.cases else half:
-        for mesh in told.meshes.split(","):
-            path = row_path(told.keep, told.rows, name, mesh)
+    arguments = parser.parse_args()
+    half = [name for name, case in CASES.items() if case.seen != arguments.unseen]
+    for name in arguments.cases.split(",") if arguments.cases else half:
+        for mesh in arguments.meshes.split(","):
+            path = row_path(arguments.keep, arguments.rows, name, mesh)
             if not path.is_file():
-                write_json(path, measured(name, told.rows, mesh, told.keep))
+                write_json(path, measured(name, arguments.rows, mesh, arguments.keep))
             print(*cells(name, mesh, json.loads(path.read_text())), sep=" | ", flush=True)
-    if not told.no_record:
+    if not arguments.no_record:
         record(
-            "Reflectance: foreign scenes, " + ("not looked at" if told.unseen else "looked at"),
+            "Reflectance: foreign scenes, "
+            + ("not looked at" if arguments.unseen else "looked at"),
             HEADER,
-            table(half, told.keep, told.rows),
-            f"Nine views of {told.rows} rows, skin seen under 70 degrees; new lights in three "
+            table(half, arguments.keep, arguments.rows),
+            f"Nine views of {arguments.rows} rows, skin seen under 70 degrees; new lights in three "
             "views. Seconds and memory of all stages until `refine`, on a busy machine; with the "
             "true mesh decode and coarse maps are those of the row above.",
         )

@@ -31,8 +31,8 @@ OILY_ALPHA, DRY_ALPHA = 0.09, 0.42
 """Median alpha of skin as slick as these looks are."""
 STRETCH = 1.5
 DISCS = LampConfig(radius_mm=20.0, exponent=2.5)
-"""Discs of 40 mm behind a lens: their light falls by a power of the cosine that the rig does not
-tell."""
+"""Discs of 40 mm behind a lens: their light falls by a power of the cosine that is not in
+the rig."""
 
 Colour = tuple[float, float, float]
 WORN: dict[str, tuple[Callable[[Subject, int], Mesh], Colour, float, float]] = {

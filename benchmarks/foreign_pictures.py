@@ -43,25 +43,27 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=ROWS, help=f"of a picture [{ROWS}]")
     parser.add_argument("--keep", type=Path, default=folder() / "foreign", help="folder")
     parser.add_argument("--out", type=Path, default=PICTURE)
-    told = parser.parse_args()
-    session = session_of(CASES[told.case], told.case, told.rows, told.keep)
+    arguments = parser.parse_args()
+    session = session_of(CASES[arguments.case], arguments.case, arguments.rows, arguments.keep)
     strips = []
     for looked in (False, True):
-        out = told.keep / "pictures" / f"{told.case}-{told.rows}-{looked}"
+        out = arguments.keep / "pictures" / f"{arguments.case}-{arguments.rows}-{looked}"
         how = dataclasses.replace(PipelineConfig().reconstruct, find_occluders=looked)
         config = dataclasses.replace(PipelineConfig(), reconstruct=how)
         run(session, out, default_template_path(), config, until="refine")
-        said = "with what was found of it" if looked else "clothes not in the scene"
-        strips.append(strip(session, ProcessedFolder(out), said))
-    ok, data = cv2.imencode(told.out.suffix, np.concatenate(strips), [cv2.IMWRITE_JPEG_QUALITY, 85])
+        caption = "with what was found of it" if looked else "clothes not in the scene"
+        strips.append(strip(session, ProcessedFolder(out), caption))
+    ok, data = cv2.imencode(
+        arguments.out.suffix, np.concatenate(strips), [cv2.IMWRITE_JPEG_QUALITY, 85]
+    )
     if not ok:
-        raise OSError(f"{told.out}: cannot be encoded")
-    with atomic_path(told.out) as beside:
+        raise OSError(f"{arguments.out}: cannot be encoded")
+    with atomic_path(arguments.out) as beside:
         beside.write_bytes(data.tobytes())
-    print(told.out)
+    print(arguments.out)
 
 
-def strip(session_path: Path, found: ProcessedFolder, said: str) -> np.ndarray:
+def strip(session_path: Path, found: ProcessedFolder, caption: str) -> np.ndarray:
     """A titled row of pictures, BGR: of each view photograph, normal error, albedo error, trust."""
     true, session = ProcessedFolder(truth_path(session_path)), load_session(session_path)
     pictures, titles = [], []
@@ -81,7 +83,7 @@ def strip(session_path: Path, found: ProcessedFolder, said: str) -> np.ndarray:
         )
         pictures += [_sized(picture[part]) for picture in shown]
         titles += [
-            f"{camera}, {said}",
+            f"{camera}, {caption}",
             f"normals off, white {ANGLE_ERROR_DEG:g} deg",
             f"albedo off, white {ALBEDO_ERROR:g}",
             "confidence",

@@ -26,7 +26,7 @@ SKIN = "skin.ply"
 
 
 def session_of(case: Case, name: str, rows: int, keep: Path) -> Path:
-    """A scene's session, made where it is missing; truth lies beside it, and `SKIN`."""
+    """A scene's session, made where it is missing; truth is beside it, and `SKIN`."""
     root = keep / f"{name}-{case.seed}-{rows}"
     if not root.is_dir():
         with atomic_folder(root, "session") as beside:

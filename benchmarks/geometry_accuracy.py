@@ -78,7 +78,7 @@ def _ours(case: Case) -> tuple[list[View], Depths, Mesh, float]:
     """Views, second depths and mesh of a person, which several parts take; processor seconds."""
     views, lights = case.views(CONFIG)
     depths, mesh, seconds = timed(views, lights, CONFIG)
-    return views, depths, case.laid(mesh), seconds
+    return views, depths, case.mesh_placed(mesh), seconds
 
 
 def ours(case: Case) -> Meshes:
@@ -115,7 +115,7 @@ def floor(case: Case) -> Meshes:
 
 
 def normals(case: Case) -> Meshes:
-    """What positions and normals together are worth: off, on, and with tipped normals.
+    """The gain by positions and normals together: off, on, and with tipped normals.
 
     First a mesh of points alone, normals by planes through neighbouring points: a surface that no
     photometric normal has touched after matching.
@@ -147,16 +147,16 @@ def patterns(case: Case) -> Meshes:
     config = dataclasses.replace(CONFIG, relief_mm=0.0, finest_rows=COARSE_ROWS)
     for name, chosen in SETS.items():
         _, mesh, seconds = timed(*case.views(config, chosen), config)
-        yield Made(name, case.laid(mesh), seconds)
+        yield Made(name, case.mesh_placed(mesh), seconds)
 
 
 def pictures(case: Case) -> Meshes:
-    """The stage as it is, beside photographs that tell no normals, matched as pictures alone."""
+    """The stage as it is, beside photographs that give no normals, matched as pictures alone."""
     yield Made("whole session", *_ours(case)[2:])
     for name in ("full alone", "all seven"):
         views, lights = case.views(CONFIG, SETS[name], normals=False)
         _, mesh, seconds = timed(views, lights, CONFIG)
-        yield Made(f"{name}, no normals", case.laid(mesh), seconds)
+        yield Made(f"{name}, no normals", case.mesh_placed(mesh), seconds)
 
 
 PARTS: dict[str, Callable[[Case], Meshes]] = {
@@ -286,7 +286,7 @@ def main() -> None:
     parser.add_argument("--parts", default=",".join(PARTS))
     parser.add_argument("--light", choices=LIGHTS, default="direct")
     parser.add_argument("--keep", type=Path, default=folder() / "geometry-accuracy.json")
-    parser.add_argument("--told", action="store_true", help="Measure nothing: tell what is kept.")
+    parser.add_argument("--told", action="store_true", help="Measure nothing: write what is kept.")
     parser.add_argument("--pictures", type=Path, help="Folder for pictures of the meshes.")
     chosen = parser.parse_args()
     results: dict[str, dict[str, Row]] = read_json(chosen.keep) if chosen.keep.is_file() else {}

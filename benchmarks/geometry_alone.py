@@ -43,7 +43,7 @@ def main() -> None:
         start = time.process_time()
         _, points, mesh, _ = twice(views, found, config, lights)
         seconds = time.process_time() - start
-        got = score(case.laid(mesh), case.skin)
+        got = score(case.mesh_placed(mesh), case.skin)
         rows.append(
             (
                 name,

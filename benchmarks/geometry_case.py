@@ -1,7 +1,7 @@
 """One person of the geometry benchmarks, photographed with noise, under cameras that were measured.
 
-Poses come from drawn ChArUco boards (geometry_poses.py), never from the truth; meshes are laid into
-the truth's world by the turn and shift that no board can tell.
+Poses come from drawn ChArUco boards (geometry_poses.py), never from the truth; meshes are placed in
+the truth's world by the turn and shift that no board can show.
 """
 
 from __future__ import annotations
@@ -95,9 +95,9 @@ class Case:
 
     def meshed(self, depths: Depths, config: ReconstructConfig) -> Mesh:
         """Consistency and fusion; in the truth's world."""
-        return self.laid(meshed(depths, config)[1])
+        return self.mesh_placed(meshed(depths, config)[1])
 
-    def laid(self, mesh: Mesh) -> Mesh:
+    def mesh_placed(self, mesh: Mesh) -> Mesh:
         """A mesh in the truth's world."""
         return Mesh(self.placed(mesh.vertices), mesh.faces)
 

@@ -3,7 +3,7 @@
 Run `python -m benchmarks.geometry_motion`. Each person's nine photographs under `full`, with pixel
 noise, are given to `lightstage.poses_from_photos` without any rig; the scale comes from one length:
 the distance of two cameras as it is, or that of two landmarks that were clicked a pixel off. Errors
-are those left after the turn and shift that photographs cannot tell; a wrong scale counts. --mesh
+are those left after the turn and shift that photographs cannot show; a wrong scale counts. --mesh
 reconstructs a person with these cameras, beside those measured from boards.
 """
 
@@ -136,7 +136,7 @@ def mesh_rows(name: str) -> Iterator[Row]:
         ("photographs alone", "-motion", found.rig.cameras),
     ):
         case = Case(name, cameras=cameras, label=label)
-        got = score(case.laid(timed(*case.views(config), config)[1]), case.skin)
+        got = score(case.mesh_placed(timed(*case.views(config), config)[1]), case.skin)
         yield (
             name,
             by,
@@ -170,7 +170,7 @@ def main() -> None:
                 "normals: mean / median, deg",
             ),
             list(mesh_rows(chosen.mesh)),
-            "Nine views of 1004 x 1504, pixel noise .001; laid onto the truth by turn and shift, "
+            "Nine views of 1004 x 1504, pixel noise .001; fitted to the truth by turn and shift, "
             "scale as it came from the distance of two cameras.",
         )
         return
@@ -190,7 +190,7 @@ def main() -> None:
         ),
         [each for name in chosen.people.split(",") for each in rows_of(name)],
         f"Photographs under `full` of 1004 x 1504, pixel noise {NOISE}, no rig and no EXIF. After "
-        "the turn and shift that photographs cannot tell.",
+        "the turn and shift that photographs cannot show.",
     )
 
 

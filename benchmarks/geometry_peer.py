@@ -1,7 +1,7 @@
 """The peer of `reconstruct`: OpenCV's SGBM on rectified pairs, tuned, with our own fusion.
 
 `python -m benchmarks.geometry_peer --person lps` tunes it: one parameter after the other, on one
-pair of views from brows to chin, by the share of skin pixels whose point lies within .5 mm of the
+pair of views from brows to chin, by the share of skin pixels whose point is within .5 mm of the
 truth. `Sgbm` holds what came out; both then get the same photographs, masks, cameras, consistency
 and fusion.
 """
@@ -172,7 +172,7 @@ def pair_points(
         return np.zeros((0, 3)), 0
     top, bottom = top + int(rows[0]), top + int(rows[-1]) + 1
     warped = [layer[top:bottom] for layer in warped]
-    # Disparities near the picture's edge need columns beyond it; they lie around 0.
+    # Disparities near the picture's edge need columns beyond it; they are around 0.
     pad = 16 + round(max(near, -far))
     left, right = (cv2.copyMakeBorder(w, 0, 0, pad, pad, cv2.BORDER_CONSTANT) for w in warped[::2])
     disparity = matcher.compute(left, right)[:, pad:-pad].astype(np.float32) / 16
@@ -239,22 +239,22 @@ def tune(case: Case) -> tuple[Sgbm, list[tuple[object, ...]]]:
     tried: set[Sgbm] = set()
     for name, values in ASKED.items():
         for value in values:
-            asked = dataclasses.replace(best, **{name: value})
-            if asked in tried:
+            candidate = dataclasses.replace(best, **{name: value})
+            if candidate in tried:
                 continue
-            tried.add(asked)
-            seen = shown_views(case.session, case.out, asked.times)[:2]
+            tried.add(candidate)
+            seen = shown_views(case.session, case.out, candidate.times)[:2]
             focus = focus_point(list(case.session.rig.cameras))
             start = time.process_time()
-            points, pixels = pair_points(seen[0], seen[1], focus, asked, BAND)
+            points, pixels = pair_points(seen[0], seen[1], focus, candidate, BAND)
             seconds = time.process_time() - start
             some = case.placed(points)[:: max(1, len(points) // 50_000)]
             off = surface.nearest(some)[0]
             share = float((off < NEAR_MM).mean()) * len(points) / pixels
-            told = [f"{getattr(asked, key)}" for key in ASKED]
+            cells = [f"{getattr(candidate, key)}" for key in ASKED]
             rows.append(
                 (
-                    *told,
+                    *cells,
                     f"{np.median(off):.3f} / {np.percentile(off, 95):.2f}",
                     f"{100 * share:.1f}",
                     f"{seconds:.1f}",
@@ -262,7 +262,7 @@ def tune(case: Case) -> tuple[Sgbm, list[tuple[object, ...]]]:
             )
             print(*rows[-1], flush=True)
             if share > best_share:
-                best, best_share = asked, share
+                best, best_share = candidate, share
     return best, rows
 
 

@@ -53,7 +53,7 @@ def session(known: Known, *, light: str = "direct", scale: float = SCALE) -> Pat
         scale: share of the default rig's pixels a side.
 
     Returns:
-        The session folder; truth lies beside it.
+        The session folder; truth is beside it.
     """
     root = folder() / f"geometry-{known.name}-{known.seed}-{light}-{scale:g}-smooth"
     if not root.is_dir():

@@ -118,8 +118,8 @@ def _found(shot: int, number: int, pose: np.ndarray) -> np.ndarray:
     rng = np.random.default_rng([shot, number])
     noise = NOISE * np.sqrt(0.25 + light) * rng.standard_normal(light.shape)
     ids, pixels = find_board(light + noise, BOARD.board())
-    told = np.full((len(ids), 2), [shot, number])
-    return np.concatenate([told, ids[:, None], pixels], axis=1)
+    indices = np.full((len(ids), 2), [shot, number])
+    return np.concatenate([indices, ids[:, None], pixels], axis=1)
 
 
 def true_rig(scale: float = SCALE) -> Rig:
@@ -190,7 +190,7 @@ def opencv_alone(found: list[Sight], written: Rig) -> tuple[Camera, ...]:
 
 
 def onto_truth(cameras: tuple[Camera, ...], rig: Rig) -> tuple[Rotation, np.ndarray]:
-    """Turn and shift of the world that lay cameras onto the true ones: no board can tell them.
+    """Turn and shift of the world that fit cameras to the true ones: no board can show them.
 
     Those by which points in the head's place come nearest to their true pixels.
     """
@@ -224,9 +224,9 @@ def errors(cameras: tuple[Camera, ...], rig: Rig) -> tuple[np.ndarray, np.ndarra
         centre = turn.apply(camera.centre_mm) + shift
         apart.append(np.linalg.norm(centre - true.centre_mm))
         pose = np.concatenate([rotation, -(rotation @ centre)[:, None]], axis=1)
-        laid = dataclasses.replace(camera, cam_from_world=pose)
+        placed = dataclasses.replace(camera, cam_from_world=pose)
         places = np.concatenate([corners @ p[:, :3].T + p[:, 3] for p in held])
-        miss = np.linalg.norm(laid.project(places)[0] - true.project(places)[0], axis=1)
+        miss = np.linalg.norm(placed.project(places)[0] - true.project(places)[0], axis=1)
         pixels.append(np.median(miss))
     return np.array(pixels), np.array(degrees), np.array(apart)
 
@@ -245,7 +245,7 @@ def main() -> None:
     start = time.process_time()
     peer = opencv_alone(seen, written)
     peer_s = time.process_time() - start
-    held = [told["held_out_px"] for told in ours.facts["cameras"].values()]
+    held = [each["held_out_px"] for each in ours.facts["cameras"].values()]
     cases: list[tuple[str, tuple[Camera, ...], float]] = [
         ("as written in rig.json", written.cameras, 0.0),
         ("OpenCV alone", peer, peer_s),

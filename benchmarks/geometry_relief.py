@@ -3,8 +3,9 @@
 Run `python -m benchmarks.geometry_relief`. A round surface with waves of 3 to 15 mm is seen by a
 camera with depth noise of .08 mm; its normals have noise of 2 degrees, and in a second case are
 tipped by 3 degrees besides, slowly changing. The peer is PyPI's `normal-position-combination` (the
-paper's C++ program), no dependency of ours: where it is not installed its rows say so. It is run
-with several weights, with and without its own mending of normals; its best row by normals counts.
+paper's C++ program), no dependency of ours: where it is not installed its rows state that. It is
+run with several weights, with and without its own mending of normals; its best row by normals
+counts.
 """
 
 from __future__ import annotations
@@ -94,8 +95,8 @@ def peer_best(
         vertices = moved[0] if isinstance(moved, tuple) else moved
         found = errors(np.asarray(vertices, float).reshape(noisy.shape), *truth)
         if found[1] < best[1][1]:
-            said = f"lambda {weight:g}, " + (f"mended over {scale:g}" if mend else "as given")
-            best = (said, found, spent)
+            settings = f"lambda {weight:g}, " + (f"mended over {scale:g}" if mend else "as given")
+            best = (settings, found, spent)
     return best
 
 
@@ -121,20 +122,20 @@ def main() -> None:
     rows.append(("points alone", "", f"{before[0]:.4f}", f"{before[1]:.2f}", ""))
     for tipped in (0.0, TIPPED_DEG):
         seen = given_normals(normals, tipped)
-        said = f"tipped by {tipped:g} degrees" if tipped else "noise alone"
+        noise = f"tipped by {tipped:g} degrees" if tipped else "noise alone"
         for relief_mm in (2 * config.relief_mm, config.relief_mm):
             moved, spent = ours(noisy, seen, relief_mm)
             own = errors(moved, *truth)
             by = f"ours, relief below {relief_mm:g} mm"
-            rows.append((by, said, f"{own[0]:.4f}", f"{own[1]:.2f}", f"{spent:.2f}"))
+            rows.append((by, noise, f"{own[0]:.4f}", f"{own[1]:.2f}", f"{spent:.2f}"))
         if importlib.util.find_spec(PEER) is None:
-            rows.append(("Nehab's program", said, "not installed", "", ""))
+            rows.append(("Nehab's program", noise, "not installed", "", ""))
             continue
         setting, theirs, spent = peer_best(noisy, seen, truth)
         name = f"Nehab's program ({setting})"
-        rows.append((name, said, f"{theirs[0]:.4f}", f"{theirs[1]:.2f}", f"{spent:.2f}"))
+        rows.append((name, noise, f"{theirs[0]:.4f}", f"{theirs[1]:.2f}", f"{spent:.2f}"))
         ratios = (f"{own[0] / theirs[0]:.2f}", f"{own[1] / theirs[1]:.2f}")
-        rows.append((f"{by}, over peer", said, *ratios, ""))
+        rows.append((f"{by}, over peer", noise, *ratios, ""))
     record(
         "Geometry: positions and normals beside Nehab's program",
         ("points", "normals", "position, mean mm", "normals of the surface, mean deg", "s"),

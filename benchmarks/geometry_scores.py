@@ -67,8 +67,8 @@ class Surface:
 
     def nearest(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(n,) distance in mm and (n, 3) smooth normal of the nearest point."""
-        asked = open3d.core.Tensor(np.ascontiguousarray(places, np.float32))
-        found = self._scene.compute_closest_points(asked)
+        queries = open3d.core.Tensor(np.ascontiguousarray(places, np.float32))
+        found = self._scene.compute_closest_points(queries)
         points, faces = found["points"].numpy(), found["primitive_ids"].numpy()
         u, v = found["primitive_uvs"].numpy().T
         corners = self.mesh.faces[faces]
@@ -78,7 +78,7 @@ class Surface:
         return np.linalg.norm(points - places, axis=1), normals
 
     def signed(self, places: np.ndarray, along: np.ndarray, reach_mm: float = 2.0) -> np.ndarray:
-        """(n,) how far places lie above the mesh along (n, 3) unit directions; NaN out of reach."""
+        """(n,) how far places are above the mesh along (n, 3) unit directions; NaN out of reach."""
         start = places + reach_mm * along
         rays = np.concatenate([start, -along], axis=1).astype(np.float32)
         found = self._scene.cast_rays(open3d.core.Tensor(rays))["t_hit"].numpy().astype(float)
@@ -87,8 +87,8 @@ class Surface:
     def first_hit(self, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """(n,) distance of the first hit along rays, in lengths of `directions`."""
         rays = np.concatenate([np.broadcast_to(origin, directions.shape), directions], axis=1)
-        asked = open3d.core.Tensor(rays.astype(np.float32))
-        return np.asarray(self._scene.cast_rays(asked)["t_hit"].numpy())
+        tensor = open3d.core.Tensor(rays.astype(np.float32))
+        return np.asarray(self._scene.cast_rays(tensor)["t_hit"].numpy())
 
 
 def true_skin(truth: ProcessedFolder, rig: Rig) -> Skin:

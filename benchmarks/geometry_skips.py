@@ -1,4 +1,4 @@
-"""What skips of the matcher save, and how far apart the surfaces lie with and without them.
+"""What skips of the matcher save, and how far apart the surfaces are with and without them.
 
 `python -m benchmarks.geometry_skips --person plain`, `--rows 1600 --only converged` for one skip at
 full size. Each is matched twice: with the skip as the stage has it, and without. Depths apart: the
@@ -78,7 +78,7 @@ class Surfaces:
         self.case, self.config, self.lights = case, config, lights
 
     def offsets(self, found: Found, views: Sequence[View]) -> tuple[np.ndarray, float]:
-        """(n,) mm that true skin lies above the surface, NaN where there is none; its share within
+        """(n,) mm that true skin is above the surface, NaN where there is none; its share within
         half a millimetre of it.
 
         Background that was matched is left out: the question is the skin. Second looks are alike.
@@ -87,7 +87,7 @@ class Surfaces:
         masks = finest_masks(views, level)
         seen = dataclasses.replace(level, masks=masks)
         kept = [np.where(mask, depth, 0) for mask, depth in zip(masks, depths, strict=True)]
-        mesh = self.case.laid(twice(views, (seen, kept, costs), self.config, self.lights)[2])
+        mesh = self.case.mesh_placed(twice(views, (seen, kept, costs), self.config, self.lights)[2])
         surface, skin = Surface(mesh), self.case.skin
         within = float((surface.nearest(skin.places)[0] < 0.5).mean())
         return surface.signed(skin.places, skin.normals), within

@@ -38,7 +38,7 @@ def without_facets(subject: Subject, edge_mm: float = EDGE_MM) -> Subject:
 
 
 def turned(vectors: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Vectors (.., 3) turned by the smallest turns that lay `before` onto `after`, unit (.., 3)."""
+    """Vectors (.., 3) turned by the smallest turns from `before` to `after`, unit (.., 3)."""
     both = before + after
     along = np.einsum("...k,...k->...", both, vectors)
     cosine = np.einsum("...k,...k->...", before, after)

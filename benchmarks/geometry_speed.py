@@ -2,7 +2,7 @@
 
 `python -m benchmarks.geometry_speed --person lps --curves rows,views`; without --curves all. Each
 row is the whole stage but for the check of poses: reading, matching, consistency, fusion. Wall time
-holds for an idle machine; processor time is told beside it.
+holds for an idle machine; processor time is printed beside it.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def measure(case: Case, setting: Setting) -> tuple[object, ...]:
         views = [views[k] for k in sorted(NEAREST[: setting.views])]
         depths = match_views(views, config)
         matched = time.process_time() - used
-        mesh = case.laid(twice(views, depths, config, lights)[2])
+        mesh = case.mesh_placed(twice(views, depths, config, lights)[2])
         wall, used = time.perf_counter() - wall, time.process_time() - used
     finally:
         numba.set_num_threads(before)

@@ -1,4 +1,4 @@
-"""The gphoto2 command line under faults: what it says is done, and what is there.
+"""The gphoto2 command line under faults: what it reports as done, and what is there.
 
 Debian's `gphoto2` drives libgphoto2's virtual camera when it is given the libraries of
 python-gphoto2's wheel, which carry it. One call a camera and shot, nine at once, as a script does.
@@ -132,15 +132,17 @@ def _shoot(
     data: bytes,
     disk: str,
 ) -> tuple[bool, bool, Path]:
-    """One photograph as a script takes it; whether it was said to be done, and deleted there."""
+    """One photograph as a script takes it; whether it was reported as done, and deleted there."""
     folder = Path(tempfile.mkdtemp(prefix=f"{camera}-", dir=desk))
     path = folder / "photograph.dng"
     with tempfile.TemporaryDirectory() as cwd:
         if disk == "rename":
             path.mkdir()  # something of that name is there already
-        said = ""
+        printed = ""
         for _ in range(2):
-            done, said = _call(environment | {"VCAMERADIR": str(folders.folder(camera))}, path, cwd)
+            done, printed = _call(
+                environment | {"VCAMERADIR": str(folders.folder(camera))}, path, cwd
+            )
             if done:
                 break
             seed = folders.folder(camera) / "DCIM" / "100TEST" / SEED
@@ -150,7 +152,7 @@ def _shoot(
                 seed.write_bytes(data)
         if path.is_dir():
             path = folder / "nothing"
-    return done, "Deleting file" in said, path
+    return done, "Deleting file" in printed, path
 
 
 def _call(environment: dict[str, str], path: Path, cwd: str) -> tuple[bool, str]:

@@ -1,8 +1,8 @@
 """kill -9 at every step of a capture, to everybody who can die: what is lost, doubled, mislabelled?
 
 Each cell is some captures of three patterns by three cameras, as a user runs them: stopped at the
-step (at the first, the middle and the last shot where that differs), killed, gone on with. Then
-once more for those who are killed again while they go on.
+step (at the first, the middle and the last shot where that differs), killed, resumed. Then
+once more for those who are killed again while they resume.
 
 ``python -m benchmarks.kill_matrix``: about a quarter of an hour on two cores, a line a session.
 """
@@ -30,7 +30,7 @@ FIRST = Kill("triggered", "capture", "x+", "cam1")
 
 
 def again() -> list[tuple[Kill, Kill]]:
-    """Killed at FIRST, then at every step of the capture that goes on."""
+    """Killed at FIRST, then at every step of the capture that resumes."""
     second = [Kill(step, who) for step in STEPS for who in ("capture", "all")]
     second += [Kill("line-half-written", "capture", event=e) for e in (*LINES[1:], *MORE)]
     return [(FIRST, kill) for kill in second]
@@ -40,15 +40,15 @@ MORE = ("resume", "recovered", "rejected")
 
 
 def trial(kills: Sequence[Kill]) -> Outcome:
-    """One session through these kills; what it showed is told at once."""
+    """One session through these kills; its result is printed at once."""
     with tempfile.TemporaryDirectory() as name:
         delete = any(kill.step in DELETING for kill in kills)
         try:
             outcome = KillTrial(Path(name), delete).run(kills)
         except SimError as error:
             outcome = Outcome((str(error),), 0, 0, 0, 0.0)
-    said = "; ".join(outcome.faults) or "whole"
-    print(f"{' then '.join(map(str, kills))}: {said}", file=sys.stderr, flush=True)
+    result = "; ".join(outcome.faults) or "whole"
+    print(f"{' then '.join(map(str, kills))}: {result}", file=sys.stderr, flush=True)
     return outcome
 
 

@@ -104,7 +104,7 @@ def far_end(kind: str) -> EndDevice:
 
 
 def answer(line: str) -> None:
-    """A device that answers as docs/led_wire.md says, with as little work as may be."""
+    """A device that answers as in docs/led_wire.md, with as little work as may be."""
     if line == "pty":
         handle, slave = os.openpty()
         tty.setraw(slave)
@@ -137,7 +137,7 @@ def answer(line: str) -> None:
 
 @contextmanager
 def process(script: str, *words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A Python process that says one line first."""
+    """A Python process that prints one line first."""
     child = subprocess.Popen(
         [sys.executable, "-c", script, *words],
         stdin=subprocess.PIPE,
@@ -217,7 +217,7 @@ def light_ms(kind: str) -> tuple[np.ndarray, int]:
 def wire_rows() -> list[list[object]]:
     """Latency of a plain echo and of a light, on each line."""
     rows: list[list[object]] = []
-    for kind, line, size, said in (
+    for kind, line, size, what in (
         ("pty", "pty", 2 * LIGHTS + 11, "ours, terminal: SET, CRC, LIT with its hash"),
         ("socket", "socket", 2 * LIGHTS + 11, "ours, TCP: SET, CRC, LIT with its hash"),
         ("adalight", "pty", 3 * LIGHTS + 6, "Adalight, terminal: sent, no answer"),
@@ -227,7 +227,7 @@ def wire_rows() -> list[list[object]]:
         lit, wrong = light_ms(kind)
         for name, took, bad in (
             (f"plain echo of {size} bytes, {line}", echoed, 0),
-            (said, lit, wrong),
+            (what, lit, wrong),
         ):
             rows.append(
                 [
@@ -253,10 +253,10 @@ def killed_rows(desk: Path) -> list[list[object]]:
                 far_end(kind) as device,
                 process(CAPTURE, _url(kind, device), str(rig)) as (
                     child,
-                    said,
+                    state,
                 ),
             ):
-                assert said == "lit"
+                assert state == "lit"
                 while device.dark:
                     time.sleep(0.001)
                 killed_s = time.monotonic()

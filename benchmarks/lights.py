@@ -1,4 +1,4 @@
-"""Lights measured from balls: where lamps stand, what they shine, and what that is worth.
+"""Lights measured from balls: where lamps are, what they shine, and the gain by measuring them.
 
 Run `python -m benchmarks.lights`. The simulator's lamps stand 5 mm from where the rig has them and
 shine unevenly; a mirror ball and a grey ball are photographed in its own light with pixel noise,
@@ -27,10 +27,10 @@ from processing.calibration.lights.ratios import (
     fit_ratios,
     lamp_normals,
     ratio_vectors,
-    unit,
 )
 from processing.lighting.lamps import NO_STRAY, Lamps, measured_rig, nominal_lamps
 from processing.lighting.lights import lights_of
+from processing.vectors import unit
 from sim.light.lamps import LampConfig, lamps_of
 from sim.light.lamps import Lamps as TrueLamps
 from sim.targets.ball import Ball, photograph_grey, photograph_mirror
@@ -145,7 +145,7 @@ def case(spread: float, places: tuple[tuple[float, float, float], ...], grey: bo
         [f"mirror ball, {len(places)} places {_apart(places):.0f} mm apart"] * bool(places)
         + ["grey ball"] * grey
     )
-    told = measured.facts.get("mirror", {}).get("residual_px", "-")
+    residual = measured.facts.get("mirror", {}).get("residual_px", "-")
     own = as_lamps(measured)
     degrees = (
         *ratio_errors(small, head),
@@ -156,7 +156,7 @@ def case(spread: float, places: tuple[tuple[float, float, float], ...], grey: bo
     return [
         f"{100 * spread:.0f} %",
         shots,
-        told,
+        residual,
         f"{across:.1f}, {np.sqrt(np.mean(along**2)):.1f}",
         f"{100 * np.std(wrong - wrong.mean(axis=0)):.1f}",
         *(f"{value:.2f}" for value in degrees),
@@ -178,9 +178,9 @@ def main() -> None:
     ideal = lit_ball(rig, lamps, 1e-3)
     plain, affine, quadratic = ratio_errors(ideal, ideal)
     exact = lamp_error(ideal, Lamps(rig.positions_mm, lamps.weights, 0.0, NO_STRAY, "nominal"))
-    told = [f"{value:.2f}" for value in (plain, affine, quadratic, exact)]
+    cells = [f"{value:.2f}" for value in (plain, affine, quadratic, exact)]
     rows: list[list[object]] = [
-        ["0 %", "none: a small ball, the rig's lamps", "-", "-", "-", *told, "-", "-", "-"]
+        ["0 %", "none: a small ball, the rig's lamps", "-", "-", "-", *cells, "-", "-", "-"]
     ]
     rows += [
         case(0.05, (), True),

@@ -67,44 +67,49 @@ def main() -> None:
     parser.add_argument("--checkpoint", type=Path, help="a run; the shipped weights else")
     parser.add_argument("--sheet", type=Path, help="a picture to look at, .png")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
-    asked = parser.parse_args()
-    count = asked.count or (1 if asked.quick else None)
+    arguments = parser.parse_args()
+    count = arguments.count or (1 if arguments.quick else None)
     heads = []
-    for kind in asked.people.split(","):
+    for kind in arguments.people.split(","):
         usual = ICT_COUNT if kind == "ict" else COUNT
-        heads += chosen([kind], count or usual, asked.unseen)
+        heads += chosen([kind], count or usual, arguments.unseen)
     if not heads:
         raise SystemExit("--people: no head of these kinds is there")
     task = Task(
-        rows=asked.rows or (384 if asked.quick else ROWS),
-        lights=_lights(asked.lights, QUICK_LIGHTS if asked.quick else tuple(GROUPS)),
+        rows=arguments.rows or (384 if arguments.quick else ROWS),
+        lights=_lights(arguments.lights, QUICK_LIGHTS if arguments.quick else tuple(GROUPS)),
         refine_seconds=SETTLES_SECONDS,
-        checkpoint=asked.checkpoint,
+        checkpoint=arguments.checkpoint,
         neighbours=neighbours(),
-        pictures=asked.sheet is not None,
+        pictures=arguments.sheet is not None,
         flawed=frozenset([who.name for who in heads if who.kind == "simulated"][:FLAWED]),
     )
-    lit = _all(heads, task, asked.jobs)
+    lit = _all(heads, task, arguments.jobs)
     title = "Learning, whole-face network"
-    title += f" of {asked.checkpoint.name}" if asked.checkpoint else ""
-    title += ", quick" if asked.quick else ""
-    title += ", kept apart" if asked.unseen else ""
-    # What is measured in part stands beside the whole table, not in its place.
-    chose = (asked.count, asked.rows, asked.lights, asked.people != ",".join(KINDS) or None)
+    title += f" of {arguments.checkpoint.name}" if arguments.checkpoint else ""
+    title += ", quick" if arguments.quick else ""
+    title += ", kept apart" if arguments.unseen else ""
+    # What is measured in part is beside the whole table, not in its place.
+    chose = (
+        arguments.count,
+        arguments.rows,
+        arguments.lights,
+        arguments.people != ",".join(KINDS) or None,
+    )
     title += ", a part" if any(value is not None for value in chose) else ""
     for kind in dict.fromkeys(each.kind for each in lit):
         write_guesses(f"{title}: {kind}", [e for e in lit if e.kind == kind], task.rows)
     write_others(f"{title}: other maps", lit, seconds(heads[0], task))
     write_flaws(f"{title}: textures that people have", lit)
-    if asked.sheet:
+    if arguments.sheet:
         strips = {(each.name, each.light): each.strip for each in lit if each.strip is not None}
-        write_sheet(strips, asked.sheet)
+        write_sheet(strips, arguments.sheet)
 
 
-def _lights(asked: str | None, usual: tuple[str, ...]) -> tuple[str, ...]:
-    if asked is None:
+def _lights(chosen: str | None, usual: tuple[str, ...]) -> tuple[str, ...]:
+    if chosen is None:
         return usual
-    words = asked.split(",")
+    words = chosen.split(",")
     unknown = sorted(set(words) - set(GROUPS) - set(GROUPS.values()))
     if unknown:
         raise SystemExit(f"--lights: {unknown[0]!r} is none of {', '.join(GROUPS)} or their groups")

@@ -135,7 +135,7 @@ def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
 
 
 class MeanPerson(nn.Module):
-    """Says the mean person of any face, everywhere with the same trust."""
+    """Guesses the mean person for any face, everywhere with the same trust."""
 
     def __init__(self, network: WholeFaceNetwork) -> None:
         """Of the people that a network was trained on."""

@@ -173,16 +173,18 @@ def guesses(
 ) -> Found:
     """All guesses of a texture's albedo, (rows, columns, 3) linear each."""
     pose = head.head_from_world
-    asked = (texture, head.mesh, pose)
+    inputs = (texture, head.mesh, pose)
     answers = {
-        REFINED: infer_whole_face(network, *asked, refine_seconds=task.refine_seconds),
-        NETWORK: infer_whole_face(network, *asked),
+        REFINED: infer_whole_face(network, *inputs, refine_seconds=task.refine_seconds),
+        NETWORK: infer_whole_face(network, *inputs),
     }
     albedo = {name: answer.maps["diffuse_albedo"] for name, answer in answers.items()}
-    blurred = infer_whole_face(network, *asked, shares=[0.0] * BANDS)
+    blurred = infer_whole_face(network, *inputs, shares=[0.0] * BANDS)
     albedo["network, without the texture's detail"] = blurred.maps["diffuse_albedo"]
     if with_fit:
-        fit = infer_whole_face(without_network(network), *asked, refine_seconds=task.refine_seconds)
+        fit = infer_whole_face(
+            without_network(network), *inputs, refine_seconds=task.refine_seconds
+        )
         albedo[FIT] = fit.maps["diffuse_albedo"]
     mean_log = network.mean_log_albedo[0].permute(1, 2, 0).numpy()
     mean = enlarged(np.exp(mean_log), *head.shown.shape)
@@ -198,10 +200,10 @@ def guesses(
 
 
 def other_score(head: Head, shape: Shape, found: Inferred, light: LightSet) -> Other:
-    """Score what a network said besides the diffuse albedo."""
+    """Score a network's other maps besides the diffuse albedo."""
     skin, true, maps = head.skin, head.maps, found.maps
     names = ("diffuse_normal", "specular_normal")
-    said = [angle_deg(maps[name][skin], true[name][skin]) for name in names]
+    errors = [angle_deg(maps[name][skin], true[name][skin]) for name in names]
     own = [angle_deg(shape.normal[skin], true[name][skin]) for name in names]
     off = srgb_from_linear(maps["diffuse_albedo"]) - srgb_from_linear(true["diffuse_albedo"])
     trust = np.stack([maps["confidence"][skin], np.abs(off).mean(axis=2)[skin]], axis=1)
@@ -209,7 +211,7 @@ def other_score(head: Head, shape: Shape, found: Inferred, light: LightSet) -> O
     some = rng.choice(len(trust), min(CONFIDENCE_TEXELS, len(trust)), replace=False)
     return Other(
         specular_sums(maps["specular_albedo"][skin], true["specular_albedo"][skin]),
-        (said[0], said[1], own[0], own[1]),
+        (errors[0], errors[1], own[0], own[1]),
         relit_squares(head, maps),
         trust[some],
         light_deg(found.light, light),

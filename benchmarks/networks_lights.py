@@ -22,7 +22,7 @@ from sim.light.scene import START_MM, Scene
 CAMERA_MM = np.array([0.0, 0.0, 1100.0])
 """From where highlights are seen, world."""
 LEAST_COSINE = 0.35
-"""What turns away farther is seen by a camera that stands more to its side, as in an atlas."""
+"""What turns away farther is seen by a camera that is more to its side, as in an atlas."""
 DOME_LAMPS = 64
 STUDIO_LAMPS = 24
 GROUPS = {

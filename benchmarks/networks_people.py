@@ -190,7 +190,7 @@ def _own(who: Who, subject: Subject) -> Head:
 
 
 def _registered(who: Who, subject: Subject, kept: np.ndarray, rows: int) -> Head:
-    """A subject of another topology, our template laid onto it.
+    """A subject of another topology, our template fitted to it.
 
     Args:
         who: it is.

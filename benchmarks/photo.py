@@ -221,15 +221,17 @@ def main() -> None:
     parser.add_argument("--scale", type=float, default=1.0, help="of the photographs' size")
     parser.add_argument("--unseen", action="store_true", help="the half of ICT's people kept apart")
     parser.add_argument("--shape-alone", action="store_true", help="without light and texture")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     template = load_template(default_template_path())
     rows = []
-    for kind in asked.people.split(","):
+    for kind in arguments.people.split(","):
         scores = Scores()
-        for who in chosen([kind], asked.count, asked.unseen):
-            head = make(who, asked.rows)
-            measure(head, template, asked.rows, not asked.shape_alone, asked.scale, scores)
-        name = f"{kind}, unseen half" if asked.unseen and kind == "ict" else kind
+        for who in chosen([kind], arguments.count, arguments.unseen):
+            head = make(who, arguments.rows)
+            measure(
+                head, template, arguments.rows, not arguments.shape_alone, arguments.scale, scores
+            )
+        name = f"{kind}, unseen half" if arguments.unseen and kind == "ict" else kind
         rows.append(_row(name, scores))
     header = [
         "heads",
@@ -245,16 +247,16 @@ def main() -> None:
         "whole s",
         "faces not found",
     ]
-    if asked.scale != 1.0 or (asked.people != ",".join(KINDS) and not asked.unseen):
+    if arguments.scale != 1.0 or (arguments.people != ",".join(KINDS) and not arguments.unseen):
         print(table(header, rows))
         return
-    title = "Heads from photographs" + (", the unseen half" if asked.unseen else "")
+    title = "Heads from photographs" + (", the unseen half" if arguments.unseen else "")
     note = (
         f"`python -m benchmarks.photo`: photographs of {WIDTH_PX} x {HEIGHT_PX} px, a face about "
-        f"{round(200 * FOCAL_PX / DISTANCE_MM)} px high, yaw 0 and 30 degrees, focal length told, "
-        f"lights {', '.join(LIGHTS)}; {asked.count} people of a kind, textures of {asked.rows} "
-        "rows. Shape: mean distance of the face's vertices after the best similarity, mm, and its "
-        "part along the normal."
+        f"{round(200 * FOCAL_PX / DISTANCE_MM)} px high, yaw 0 and 30 degrees, focal length known, "
+        f"lights {', '.join(LIGHTS)}; {arguments.count} people of a kind, textures of "
+        f"{arguments.rows} rows. Shape: mean distance of the face's vertices after the best "
+        "similarity, mm, and its part along the normal."
     )
     record(title, header, rows, note)
 

@@ -104,13 +104,13 @@ def _panel(panel: Panel) -> np.ndarray:
     for value in ticks(low_y, high_y, panel.log_y):
         row = round(float(up(np.array(value))))
         cv2.line(image, (LEFT, row), (WIDTH - RIGHT, row), GRID, 1)
-        said = f"{value:g}"
-        _write(image, said, (LEFT - 6 - _width(said, 0.36), row + 4), 0.36)
+        label = f"{value:g}"
+        _write(image, label, (LEFT - 6 - _width(label, 0.36), row + 4), 0.36)
     for value in ticks(low_x, high_x, panel.log_x):
         column = round(float(across(np.array(value))))
         cv2.line(image, (column, TOP), (column, HEIGHT - BOTTOM), GRID, 1)
-        said = f"{value:g}"
-        _write(image, said, (column - _width(said, 0.36) // 2, HEIGHT - BOTTOM + 15), 0.36)
+        label = f"{value:g}"
+        _write(image, label, (column - _width(label, 0.36) // 2, HEIGHT - BOTTOM + 15), 0.36)
     cv2.rectangle(image, (LEFT, TOP), (WIDTH - RIGHT, HEIGHT - BOTTOM), INK, 1)
     middle = (LEFT + WIDTH - RIGHT - _width(panel.across, 0.4)) // 2
     _write(image, panel.across, (middle, HEIGHT - 12), 0.4)

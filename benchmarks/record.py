@@ -39,9 +39,9 @@ def changed() -> list[str]:
 
 
 def git(*words: str) -> str:
-    """What git says in this repository; nothing where it fails."""
-    asked = ["git", "-C", str(RESULTS.parent.parent), *words]
-    return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.rstrip()
+    """What git prints in this repository; nothing where it fails."""
+    command = ["git", "-C", str(RESULTS.parent.parent), *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.rstrip()
 
 
 def running() -> str:

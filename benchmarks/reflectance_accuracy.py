@@ -96,7 +96,7 @@ def measurements(
 
 @contextlib.contextmanager
 def _folder(keep: Path | None, name: str) -> Iterator[Path]:
-    """A folder to work in, kept below `keep` where that is told."""
+    """A folder to work in, kept below `keep` where that is given."""
     if keep is not None:
         yield keep / name
         return
@@ -111,25 +111,25 @@ def main() -> None:
     parser.add_argument("--methods", default=",".join(METHODS))
     parser.add_argument("--scale", type=float, default=SCALE)
     parser.add_argument("--keep", type=Path, help="leave the processed folders here")
-    parser.add_argument("--results", type=Path, help="JSON: go on with what the same code left")
+    parser.add_argument("--results", type=Path, help="JSON: continue with what the same code left")
     parser.add_argument("--record", action="store_true", help="put the tables into RESULTS.md")
-    told = parser.parse_args()
-    whole = all(getattr(told, name) == parser.get_default(name)
+    arguments = parser.parse_args()
+    whole = all(getattr(arguments, name) == parser.get_default(name)
                 for name in ("people", "light", "methods", "scale"))  # fmt: skip
-    methods, lights = told.methods.split(","), told.light.split(",")
+    methods, lights = arguments.methods.split(","), arguments.light.split(",")
     unknown = sorted({*methods} - {*METHODS} | {*lights} - {*LIGHTS})
     if unknown:
         parser.error(f"{', '.join(unknown)}: expected {', '.join((*METHODS, *LIGHTS))}")
-    store = Store(told.results, told.scale)
+    store = Store(arguments.results, arguments.scale)
     if "peers" in methods and not store.grid:
         store.put_grid(tuned(PEERS))
         print("settings of the peers\n" + table(TUNING_HEADER, store.grid), flush=True)
     kept = kept_of(PEERS, store.grid)
     for light in lights:
-        for name in told.people.split(","):
-            with _folder(told.keep, f"{name}-{light}") as folder:
+        for name in arguments.people.split(","):
+            with _folder(arguments.keep, f"{name}-{light}") as folder:
                 for method, call in measurements(
-                    person(name), light, methods, kept, folder, told.scale
+                    person(name), light, methods, kept, folder, arguments.scale
                 ):
                     if (light, name, method) in store.results:
                         continue
@@ -140,7 +140,7 @@ def main() -> None:
     titled = tables(store.results)
     for title, header, rows, _ in titled:
         print(f"\n{title}\n" + table(header, rows))
-    if whole or told.record:
+    if whole or arguments.record:
         if store.grid:
             titled.append(("Reflectance: settings of the peers", TUNING_HEADER, store.grid, TUNED))
         for title, header, rows, note in titled:

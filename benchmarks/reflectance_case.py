@@ -102,17 +102,19 @@ class Case:
         return self._maps(facets_of(refine(self.session, self.out, config)))
 
     def true_maps(self, roughness: float) -> dict[str, Maps]:
-        """Truth's own maps, which tell no roughness: what re-rendering can reach at best."""
+        """Truth's own maps, which have no roughness: what re-rendering can reach at best."""
         maps = {}
         for name in self.session.camera_ids():
             mask = self.true[name].mask.astype(np.float32)
-            told = {
+            common = {
                 field: self.truth.read_view(name, field)
                 for field in (
                     "diffuse_normal", "specular_normal", "diffuse_albedo", "specular_albedo",
                 )
             }  # fmt: skip
-            maps[name] = Maps(**told, roughness=mask * roughness, confidence=mask, facets=BECKMANN)
+            maps[name] = Maps(
+                **common, roughness=mask * roughness, confidence=mask, facets=BECKMANN
+            )
         return maps
 
     def refined_on_own_mesh(self) -> dict[str, Maps]:
@@ -169,7 +171,12 @@ class Case:
 
 def facets_of(facts: Mapping[str, Any]) -> Facets:
     """The family of lobes that `refine` found."""
-    return Facets(facts["mirror_lobe_tails"], facts["mirror_lobe_stretch"])
+    return Facets(
+        facts["mirror_lobe_tails"],
+        facts["mirror_lobe_stretch"],
+        facts["mirror_rises_at_grazing_angles"],
+        facts["diffuse_layer_below_the_mirror"],
+    )
 
 
 def put_frames(

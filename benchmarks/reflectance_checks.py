@@ -1,8 +1,8 @@
-"""What the checks of motion, room light and flicker are worth: errors of maps with and without.
+"""The gain by the checks of motion, room light and flicker: errors of maps with and without.
 
 Run `python -m benchmarks.reflectance_checks`. One person, two views of 602 x 402, direct light,
 noise as in the other benchmarks; photographs go through `decode`, `separate` and `refine` (with the
-true mesh, where the person was at the first shot). Nothing is told of what was done to the light.
+true mesh, where the person was at the first shot). Nothing shows what was done to the light.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ HEADER = (
 class Trouble:
     """One way in which a session goes wrong."""
 
-    said: str
+    title: str
     setting: Setting = dataclasses.field(default_factory=Setting)
     flicker: float = 1.0
 
@@ -82,8 +82,8 @@ def errors(
     mean = {
         name: np.mean([own["flicker"].get(name, 1.0) for own in facts.values()]) for name in gains
     }
-    told = ", ".join(f"{name} {gain:.3f}" for name, gain in mean.items()) or "none"
-    return f"{moved:.2f}, {room:.2f}, {told}", [coarse, stage.errors(out)]
+    flicker = ", ".join(f"{name} {gain:.3f}" for name, gain in mean.items()) or "none"
+    return f"{moved:.2f}, {room:.2f}, {flicker}", [coarse, stage.errors(out)]
 
 
 def row(stage: Stage, trouble: Trouble) -> list[str]:
@@ -93,7 +93,7 @@ def row(stage: Stage, trouble: Trouble) -> list[str]:
         flickered(session, trouble.flicker)
         _, without = errors(stage, session, Path(name) / "off", OFF)
         found, mended = errors(stage, session, Path(name) / "on", ON)
-    cells = [trouble.said, found]
+    cells = [trouble.title, found]
     for maps in range(2):
         for key, digits in (("albedo_rmse", 4), ("diffuse_normal_deg", 2)):
             pair = without[maps][key], mended[maps][key]
@@ -106,15 +106,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--person", default="tone3")
     parser.add_argument("--only", default="", help="words of the troubles to run, printed alone")
-    asked = parser.parse_args()
-    chosen = [trouble for trouble in TROUBLES if asked.only in trouble.said]
+    arguments = parser.parse_args()
+    chosen = [trouble for trouble in TROUBLES if arguments.only in trouble.title]
     with tempfile.TemporaryDirectory() as name:
-        stage = Stage(asked.person, Path(name))
+        stage = Stage(arguments.person, Path(name))
         rows = [row(stage, trouble) for trouble in chosen]
     if len(chosen) < len(TROUBLES):
         print(table(HEADER, rows))
         return
-    note = f"Errors of all visible skin of {asked.person}, decoded with and without the checks."
+    note = f"Errors of all visible skin of {arguments.person}, decoded with and without the checks."
     record("Checks of motion and light", HEADER, rows, note)
 
 

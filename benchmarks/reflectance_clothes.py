@@ -72,7 +72,7 @@ def errors(out: Path, session_path: Path) -> dict[str, float]:
     Returns:
         Mean angle of the diffuse normals of all, above and below the chin; RMSE of the diffuse
         albedo, as found and after the one factor that suits it best, since programs differ in
-        whether albedo is told inside or outside of the interface that mirrors; share of the best
+        whether albedo is given inside or outside of the interface that mirrors; share of the best
         constant's error that is left of the specular albedo over 2 mm; mean angle of the specular
         normals; share of confidence above .5.
     """

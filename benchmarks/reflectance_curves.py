@@ -4,7 +4,7 @@ Run `python -m benchmarks.reflectance_curves` for all, written into RESULTS.md a
 docs/reflectance_curves.png, or with `--curves noise,sway` for some, which are printed alone. One
 light and one dark person, two views of 602 x 402, direct light. Photographs go through the stages
 `decode`, `separate` and `refine` (with the true mesh, where the person was at the first shot), with
-nothing told of what was done to the light.
+no record of what was done to the light.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Curve:
     """A field of `Setting`, its words, and the values that are tried."""
 
     field: str
-    said: str
+    title: str
     values: tuple[float, ...]
 
 
@@ -121,7 +121,7 @@ class Stage:
         self._true: dict[str, TrueView] = {}
 
     def world(self, setting: Setting) -> World:
-        """The person where the setting says, under the lamps that it says."""
+        """The person where the setting has it, under the setting's lamps."""
         who = setting.off_centre_mm, setting.roughness
         if self._world is None or who != self._who:
             self._who, self._world = who, World(changed(self.subject, *who), self.rig)
@@ -192,7 +192,7 @@ def settings_of(curve: Curve) -> list[Setting]:
 def panels(curves: tuple[Curve, ...], errors: Errors) -> list[list[Panel]]:
     """A row of panels for each error, a column for each curve."""
     rows = []
-    for key, said in ERRORS.items():
+    for key, title in ERRORS.items():
         row = []
         for curve in curves:
             lines = [
@@ -207,7 +207,7 @@ def panels(curves: tuple[Curve, ...], errors: Errors) -> list[list[Panel]]:
                 for name in PEOPLE
             ]
             # The published formulas' specular errors are many times a constant's.
-            row.append(Panel(said, curve.said, lines, curve.field == "noise", log_y=True))
+            row.append(Panel(title, curve.title, lines, curve.field == "noise", log_y=True))
         rows.append(row)
     return rows
 
@@ -216,7 +216,7 @@ def table_rows(curves: tuple[Curve, ...], errors: Errors) -> list[list[str]]:
     """Curve, value, method; errors of the light and the dark person."""
     return [
         [
-            curve.said,
+            curve.title,
             f"{value:g}",
             method,
             *(
@@ -235,8 +235,8 @@ def main() -> None:
     fields = [curve.field for curve in CURVES]
     parser.add_argument("--curves", default=",".join(fields), help=", ".join(fields))
     parser.add_argument("--picture", type=Path, help="where to draw some curves")
-    told = parser.parse_args()
-    wanted = told.curves.split(",")
+    arguments = parser.parse_args()
+    wanted = arguments.curves.split(",")
     if unknown := sorted({*wanted} - {*fields}):
         parser.error(f"{', '.join(unknown)}: expected {', '.join(fields)}")
     curves = tuple(curve for curve in CURVES if curve.field in wanted)
@@ -252,11 +252,11 @@ def main() -> None:
                     errors[name, setting, method] = found
                 seconds = time.process_time() - start
                 print(f"  {seconds:.0f} s of processor time: {name} {setting}", flush=True)
-    header = ("curve", "value", "method", *(f"{said}, light / dark" for said in ERRORS.values()))
+    header = ("curve", "value", "method", *(f"{title}, light / dark" for title in ERRORS.values()))
     rows = table_rows(curves, errors)
     whole = curves == CURVES
-    if whole or told.picture:
-        draw(panels(curves, errors), told.picture or PICTURE)
+    if whole or arguments.picture:
+        draw(panels(curves, errors), arguments.picture or PICTURE)
     if whole:
         note = "People tone3 and tone6, two views of 602 x 402; docs/reflectance_curves.png."
         record("Reflectance: curves", header, rows, note)

@@ -2,7 +2,7 @@
 
 Two kinds. Far away: `separate` with another method, a field without mesh as it was published or
 with the stage's own lights. On the true mesh: normals from one channel, or from the mean of all,
-with the same positions, shadows and interface that `refine` has; a constant stands for the mirror
+with the same positions, shadows and interface that `refine` has; a constant replaces the mirror
 reflection.
 """
 
@@ -44,7 +44,7 @@ class Peer:
 
     Attributes:
         name: of the method.
-        grid: settings, each told as it is printed.
+        grid: settings, each as it is printed.
         maps: of a case and settings.
     """
 
@@ -62,16 +62,16 @@ def product(**values: tuple[Any, ...]) -> tuple[dict[str, Any], ...]:
 
 def far_kampouris(case: Case, settings: Settings) -> dict[str, Maps]:
     """The published separation."""
-    told = {key: value for key, value in settings.items() if key != "normals"}
+    options = {key: value for key, value in settings.items() if key != "normals"}
     return case.separated(
-        {"method": "kampouris", "normals": settings["normals"], "kampouris": told}
+        {"method": "kampouris", "normals": settings["normals"], "kampouris": options}
     )
 
 
 def far_ratios(case: Case, settings: Settings) -> dict[str, Maps]:
     """Ratios of complements as photographed, of all channels or of one."""
-    told = {key: value for key, value in settings.items() if key != "normals"}
-    return case.separated({"method": "ratios", "normals": settings["normals"], "ratios": told})
+    options = {key: value for key, value in settings.items() if key != "normals"}
+    return case.separated({"method": "ratios", "normals": settings["normals"], "ratios": options})
 
 
 def on_mesh(case: Case, settings: Settings) -> dict[str, Maps]:

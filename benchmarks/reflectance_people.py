@@ -41,7 +41,7 @@ class Known:
     Attributes:
         name: of the session's subject; ``lps`` is the scanned head, ``ict`` one of that model.
         seed: of the person.
-        traits: who it is; None where the name says it.
+        traits: who it is; None where the name determines it.
         skin: ``light`` or ``dark``, the table's column.
     """
 
@@ -80,7 +80,7 @@ def person(name: str) -> Known:
 def session(
     known: Known, *, light: str = "direct", sequence: str = "binary", scale: float = SCALE
 ) -> Path:
-    """A person's session without noise, made where it is missing; truth lies beside it.
+    """A person's session without noise, made where it is missing; truth is beside it.
 
     Args:
         known: who.

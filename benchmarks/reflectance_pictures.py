@@ -116,9 +116,9 @@ def _row(pictures: list[np.ndarray], skin: np.ndarray, part: tuple[slice, slice]
 def titled(picture: np.ndarray) -> np.ndarray:
     """A sheet under the columns' titles."""
     strip = np.zeros((22, picture.shape[1], 3), np.uint8)
-    for k, said in enumerate(TITLES):
+    for k, title in enumerate(TITLES):
         place = (k * COLUMNS + 4, 15)
-        cv2.putText(strip, said, place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1,
+        cv2.putText(strip, title, place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1,
                     cv2.LINE_AA)  # fmt: skip
     return np.concatenate([strip, picture], axis=0)
 
@@ -129,20 +129,20 @@ def main() -> None:
     parser.add_argument("--light", default="direct", choices=("direct", "reference"))
     parser.add_argument("--scale", type=float, default=SCALE, help="of the pictures' pixels")
     parser.add_argument("--out", type=Path, default=PICTURE)
-    told = parser.parse_args()
+    arguments = parser.parse_args()
     sheets = []
-    for name in told.people.split(","):
+    for name in arguments.people.split(","):
         with tempfile.TemporaryDirectory() as folder:
-            case = Case(person(name), told.light, Path(folder), scale=told.scale)
+            case = Case(person(name), arguments.light, Path(folder), scale=arguments.scale)
             sheets.append(sheet(case, case.refined()[CAMERA]))
     ok, data = cv2.imencode(
-        told.out.suffix, titled(np.concatenate(sheets, axis=0)), [cv2.IMWRITE_JPEG_QUALITY, 85]
+        arguments.out.suffix, titled(np.concatenate(sheets, axis=0)), [cv2.IMWRITE_JPEG_QUALITY, 85]
     )
     if not ok:
-        raise OSError(f"{told.out}: cannot be encoded")
-    with atomic_path(told.out) as beside:
+        raise OSError(f"{arguments.out}: cannot be encoded")
+    with atomic_path(arguments.out) as beside:
         beside.write_bytes(data.tobytes())
-    print(told.out)
+    print(arguments.out)
 
 
 if __name__ == "__main__":

@@ -61,9 +61,11 @@ def refine_parts(
         "readings of a grid",
         lambda: read_view(frames, camera, lit, scene, config, config.gloss_pixels),
     )
-    told, found, _ = clock.run("gloss and ways of light", lambda: find_gloss(scene, [grid], config))
+    scene_found, found, _ = clock.run(
+        "gloss and ways of light", lambda: find_gloss(scene, [grid], config)
+    )
     solved = clock.run(
-        "every pixel", lambda: solve_view(told, frames, camera, lit, grid, found[0], config)
+        "every pixel", lambda: solve_view(scene_found, frames, camera, lit, grid, found[0], config)
     )
     clock.run(
         "writing the maps",

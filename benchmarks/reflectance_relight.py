@@ -21,7 +21,7 @@ from processing.rays import MeshRays, interpolate
 PEAK_QUANTILE = 0.999
 SHADOW_OFFSET_MM = 0.1
 EXPONENT = 1.0
-"""Of the simulator's lamps; a picture that is to be rendered tells its lights."""
+"""Of the simulator's lamps; a picture that is to be rendered names its lights."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Relit:
     peak: float
 
     def psnr_db(self, peak: float | None = None) -> float:
-        """Peak signal-to-noise ratio; the peak is that of the true pictures unless told."""
+        """Peak signal-to-noise ratio; the peak is that of the true pictures unless given."""
         mean = max(self.squared / max(self.values, 1), 1e-12)
         return float(10 * np.log10((self.peak if peak is None else peak) ** 2 / mean))
 

@@ -1,7 +1,7 @@
 """Errors of one person's maps against truth, as the accuracy benchmark states them.
 
 All visible skin counts: pixels of the truth's skin that the camera sees less steeply than 70 deg.
-Where a method says nothing its maps are 0, and it is scored with that.
+Where a method has no result its maps are 0, and it is scored with that.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FINE_SIGMA_MM = FINE_MM * float(np.sqrt(np.log(2) / 2)) / np.pi
 
 @dataclasses.dataclass(frozen=True)
 class Maps:
-    """One view's maps, (h, w) or (h, w, 3), 0 where the method says nothing.
+    """One view's maps, (h, w) or (h, w, 3), 0 where the method has no result.
 
     Attributes:
         diffuse_normal, specular_normal, diffuse_albedo: (h, w, 3).
@@ -48,7 +48,7 @@ class Maps:
 
 
 def read_maps(folder: ProcessedFolder, camera_id: str, facets: Facets = BECKMANN) -> Maps:
-    """A view's maps as a stage left them, whose report told the facets."""
+    """A view's maps as a stage left them, whose report names the facets."""
     names = [field.name for field in dataclasses.fields(Maps) if field.name != "facets"]
     return Maps(*(folder.read_view(camera_id, name) for name in names), facets=facets)
 

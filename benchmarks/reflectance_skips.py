@@ -168,10 +168,12 @@ def refine_rows(root: Path, out: Path) -> list[list[str]]:
     truth = ProcessedFolder(session(person(WHO)).with_name("session.truth"))
     scene = prepare_scene(read_ply(truth.base_mesh), lights, [(camera, mask)], config)
     grid = read_view(frames, camera, mask, scene, config, config.gloss_pixels)
-    told, found, _ = find_gloss(scene, [grid], config)
+    scene_found, found, _ = find_gloss(scene, [grid], config)
 
     def solved(config: RefineConfig) -> PixelMaps:
-        return solve_view(told, frames, camera, mask, grid, found[0], config).maps.pixel_maps()
+        return solve_view(
+            scene_found, frames, camera, mask, grid, found[0], config
+        ).maps.pixel_maps()
 
     usual, usual_s = timed(lambda: solved(config))
     own, own_s = timed(lambda: solved(dataclasses.replace(config, light_step_mm=0.0)))

@@ -58,8 +58,8 @@ class Store:
 
     def _write(self) -> None:
         if self._path is not None:
-            told = [[list(k), dataclasses.asdict(found)] for k, found in self.results.items()]
-            write_json(self._path, {**self._facts, "grid": self.grid, "results": told})
+            rows = [[list(k), dataclasses.asdict(found)] for k, found in self.results.items()]
+            write_json(self._path, {**self._facts, "grid": self.grid, "results": rows})
 
 
 def _result(found: Mapping[str, Any]) -> Result:

@@ -30,7 +30,7 @@ class Target:
         light: which the row is about.
         what: the row's words.
         key: of `scores`.
-        goal: for light and dark skin, NO_GOAL where the row is told beside the others.
+        goal: for light and dark skin, NO_GOAL where the row is printed beside the others.
         digits: printed.
         higher: whether more is better.
         alone: not held against peers, most of which know no confidence.
@@ -209,8 +209,8 @@ def decile_rows(results: Results) -> list[list[str]]:
         ):
             rises = sum(b > RISE * a for a, b in itertools.pairwise(column))
             cells = [f"{value:.{digits}f}" for value in column]
-            said = "" if label == "confidence" else str(rises)
-            rows.append([light, name, method, label, *cells, said])
+            rise = "" if label == "confidence" else str(rises)
+            rows.append([light, name, method, label, *cells, rise])
     return rows
 
 

@@ -33,8 +33,8 @@ Kept = tuple[str, Peer, Settings]
 
 def label(peer: Peer, settings: Settings) -> str:
     """A peer with its settings as one line."""
-    said = ", ".join(f"{key} {value}" for key, value in settings.items())
-    return f"{peer.name} ({said})"
+    in_words = ", ".join(f"{key} {value}" for key, value in settings.items())
+    return f"{peer.name} ({in_words})"
 
 
 def tuned(peers: Sequence[Peer]) -> list[list[str]]:
@@ -77,7 +77,7 @@ def tuned(peers: Sequence[Peer]) -> list[list[str]]:
 
 
 def kept_of(peers: Sequence[Peer], rows: Sequence[Sequence[str]]) -> list[Kept]:
-    """The settings that `tuned`'s rows say were kept."""
+    """The settings that were kept by `tuned`'s rows."""
     tried = {label(peer, settings): (peer, settings) for peer in peers for settings in peer.grid}
     return [(row[0], *tried[row[0]]) for row in rows if row[-1]]
 
@@ -106,5 +106,5 @@ def chosen(errors: dict[str, dict[str, dict[str, float]]]) -> dict[str, list[str
     return kept
 
 
-HEADER = ("peer and settings", *(f"{said}, {' / '.join(PEOPLE)}" for said in ROWS.values()),
+HEADER = ("peer and settings", *(f"{title}, {' / '.join(PEOPLE)}" for title in ROWS.values()),
           "kept for")  # fmt: skip

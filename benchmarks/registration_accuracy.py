@@ -61,12 +61,12 @@ def ours(case: Case) -> tuple[np.ndarray, float]:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser()
-    asked.add_argument("--seeds", default="1,2,3")
-    asked.add_argument("--peers", default="1", help="seeds on which trimesh runs too")
-    given = asked.parse_args()
-    seeds = [int(seed) for seed in given.seeds.split(",")]
-    peers = [int(seed) for seed in given.peers.split(",") if seed]
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seeds", default="1,2,3")
+    parser.add_argument("--peers", default="1", help="seeds on which trimesh runs too")
+    arguments = parser.parse_args()
+    seeds = [int(seed) for seed in arguments.seeds.split(",")]
+    peers = [int(seed) for seed in arguments.peers.split(",") if seed]
     ict = model()
     rows = []
     for name, options in CASES.items():

@@ -1,4 +1,4 @@
-"""Landmarks left out of a fit: how far from them the registered mesh's own ones come to lie.
+"""Landmarks left out of a fit: how far from them the registered mesh's own ones are.
 
 python -m benchmarks.registration_left_out [--scan HEAD.ply --landmarks L.json]
 """
@@ -43,10 +43,10 @@ def left_out(scan: Mesh, landmarks_mm: np.ndarray, template: Template, fits: int
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser()
-    asked.add_argument("--scan", type=Path, help="a reconstructed head")
-    asked.add_argument("--landmarks", type=Path, help="of that scan")
-    given = asked.parse_args()
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--scan", type=Path, help="a reconstructed head")
+    parser.add_argument("--landmarks", type=Path, help="of that scan")
+    arguments = parser.parse_args()
     ours = load_template(default_template_path())
     ict = model()
     cases: dict[str, tuple[Mesh, np.ndarray, Template]] = {}
@@ -58,13 +58,13 @@ def main() -> None:
             case.template,
         )
     folder = scan_folder()
-    if folder is not None and not given.scan:
+    if folder is not None and not arguments.scan:
         head = load_scan(folder, 96)
         cases["Lee Perry-Smith's scan"] = (head.mesh, head.landmarks_mm, ours)
-    if given.scan:
+    if arguments.scan:
         cases["Lee Perry-Smith's, reconstructed"] = (
-            read_ply(given.scan),
-            read_points_mm(given.landmarks),
+            read_ply(arguments.scan),
+            read_points_mm(arguments.landmarks),
             ours,
         )
     rows = []

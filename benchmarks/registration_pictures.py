@@ -82,25 +82,27 @@ def row(scan: Mesh, landmarks_mm: np.ndarray, name: str) -> np.ndarray:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser()
-    asked.add_argument("picture", type=Path)
-    asked.add_argument("--scan", type=Path, help="a scanned head in place of the fifth person")
-    asked.add_argument("--landmarks", type=Path, help="of that scan")
-    given = asked.parse_args()
+    parser = argparse.ArgumentParser()
+    parser.add_argument("picture", type=Path)
+    parser.add_argument("--scan", type=Path, help="a scanned head in place of the fifth person")
+    parser.add_argument("--landmarks", type=Path, help="of that scan")
+    arguments = parser.parse_args()
     ict = model()
     rows = []
     for seed, expression in PEOPLE.items():
-        if given.scan and seed == max(PEOPLE):
+        if arguments.scan and seed == max(PEOPLE):
             continue
         case = make_case(ict, seed, expression=expression)
         rows.append(row(case.scan, case.landmarks_mm, f"person {seed}, {expression}"))
-    if given.scan:
-        rows.append(row(read_ply(given.scan), read_points_mm(given.landmarks), given.scan.stem))
+    if arguments.scan:
+        rows.append(
+            row(read_ply(arguments.scan), read_points_mm(arguments.landmarks), arguments.scan.stem)
+        )
     half = np.concatenate(rows[:3], axis=0)
     rest = np.concatenate(rows[3:], axis=0)
     blank = np.full((len(half) - len(rest), half.shape[1], 3), 255, np.uint8)
     image = np.concatenate([half, np.concatenate([rest, blank])], axis=1)
-    cv2.imwrite(str(given.picture), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 82])
+    cv2.imwrite(str(arguments.picture), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 82])
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ def clustered(case: Case, cell_mm: float) -> Case:
     cell = np.floor(mesh.vertices / cell_mm).astype(np.int64)
     _, cluster = np.unique(cell, axis=0, return_inverse=True)
     cluster = cluster.ravel()
-    # One vertex stands for its cell, so that truth is known; landmarks stay.
+    # One vertex represents its cell, so that truth is known; landmarks stay.
     count = int(cluster.max()) + 1
     chosen = np.full(count, -1)
     chosen[cluster[::-1]] = np.arange(len(cluster))[::-1]

@@ -38,7 +38,7 @@ ABOUT = Path(__file__).parents[1] / "demo" / "about.toml"
 PLAIN = PublishConfig(gap=0.0, wander=0.0, turned=False, drop=0.0)
 WITH = PublishConfig()
 BANDS = (0.0, 0.7, 1.4, 2.8, 5.6, 11.2)
-"""Gaussian widths, texels: what lies between two of them is a band of sizes of pores."""
+"""Gaussian widths, texels: what is between two of them is a band of sizes of pores."""
 RIDGE = 0.05
 """Of the variance within people, added to it."""
 
@@ -72,11 +72,11 @@ class Score:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("people", nargs="*", help="folder of simulated people, made already")
-    asked = parser.parse_args().people
+    folders = parser.parse_args().people
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch)
-        people = Path(asked[0]) if asked else root / "people"
-        if not asked:
+        people = Path(folders[0]) if folders else root / "people"
+        if not folders:
             words = ["--subjects", PEOPLE, "--expressions", 1, "--seed", SEED, "--rows", ROWS]
             words = ["-m", "sim", "dataset", *words, "--maps-only", "--out", people]
             subprocess.run([sys.executable, *map(str, words)], check=True, capture_output=True)
@@ -132,7 +132,7 @@ def published_release(store: Store, folder: Path) -> Release:
 
 
 def opened(folder: Path, places: list[Place], layout: Layout, *, packed: bool) -> Release:
-    """A release as anybody reads it, and where its patches lay."""
+    """A release as anybody reads it, and where its patches were."""
     group = zarr.open_group(folder, mode="r")
     maps = {name: np.asarray(group[name][:], np.float32) for name in CHANNELS}
     person = np.array([place.scan for place in places])
@@ -153,8 +153,8 @@ def attacks(release: Release) -> list[tuple[str, Score]]:
     seen = [{name: look(half) for name, look in looks.items()} for half in halves]
     for names in (("tone",), ("noise",), ("pores",), tuple(looks)):
         both = [np.concatenate([each[name] for name in names], axis=1) for each in seen]
-        said = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
-        found.append((f"the most alike, by {said}", alike(halves, both, nearest)))
+        inputs = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+        found.append((f"the most alike, by {inputs}", alike(halves, both, nearest)))
     found.append((f"groups, by {', '.join(looks)}", alike(halves, both, grouped)))
     found += [
         ("neighbours in the order", in_order(patches)),
@@ -323,9 +323,9 @@ def files(release: Release) -> dict[Path, np.ndarray]:
 
 
 def by_size(release: Release) -> Score:
-    """Patches whose parts of all arrays have the most like sizes, as the files' indices tell.
+    """Patches whose parts of all arrays have the most like sizes, by the files' indices.
 
-    The plain release stands for one whose parts are packed.
+    The plain release represents one whose parts are packed.
     """
     if release.packed:
         return by_packed_size(release.patches)

@@ -105,9 +105,9 @@ def read(run: Path) -> tuple[str, OcclusionNetwork]:
 
 
 def named(network: OcclusionNetwork, steps: int, joint_steps: int) -> str:
-    told = network.config
-    what = "coordinates" if told.order == 1 else f"harmonics of order {told.order}"
-    return f"network of {told.lights}, {what}, {steps} + {joint_steps} steps"
+    config = network.config
+    what = "coordinates" if config.order == 1 else f"harmonics of order {config.order}"
+    return f"network of {config.lights}, {what}, {steps} + {joint_steps} steps"
 
 
 def size_of(network: OcclusionNetwork) -> float:

@@ -19,7 +19,7 @@ SUBJECTS = {
     "Dataset": ("dataset", "reidentify"),
     "Renderer": ("render_",),
     "Networks": ("networks", "paper_", "training", "upscale"),
-    "One photograph": ("photo",),
+    "One photograph": ("avatar", "photo"),
     "Simulated stage": ("sim_",),
 }
 """Subject to how its benchmarks' names begin; the first that fits holds a benchmark's tables."""
@@ -56,7 +56,7 @@ class Table:
 
     @property
     def subject(self) -> str:
-        """The heading it stands under."""
+        """The heading it is under."""
         return subject_of(self.script)
 
     def text(self) -> str:
@@ -81,7 +81,7 @@ def read_tables(text: str) -> list[Table]:
     """The tables of RESULTS.md.
 
     Raises:
-        ValueError: a section does not say how it was made.
+        ValueError: a section does not state how it was made.
     """
     tables = []
     for part in re.split(r"^### ", text, flags=re.MULTILINE)[1:]:

@@ -77,26 +77,28 @@ def mesh_error(out: Path, truth: ProcessedFolder, rig: Rig) -> str:
 
 def main() -> None:
     """Run the stages, and write the table."""
-    asked = argparse.ArgumentParser(description=__doc__)
-    asked.add_argument("--views", type=int, default=9, choices=NAMES, help="3: a frontal triple")
-    asked.add_argument("--until", default=STAGES[-1], choices=STAGES[STAGES.index("reconstruct") :])
-    asked.add_argument("--rows", type=int, default=6144)
-    asked.add_argument("--keep", type=Path, help="folder for the outputs")
-    asked.add_argument("--make", action="store_true", help="make the session alone")
-    given = asked.parse_args()
-    photographs = large_views(given.views)
-    if given.make:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--views", type=int, default=9, choices=NAMES, help="3: a frontal triple")
+    parser.add_argument(
+        "--until", default=STAGES[-1], choices=STAGES[STAGES.index("reconstruct") :]
+    )
+    parser.add_argument("--rows", type=int, default=6144)
+    parser.add_argument("--keep", type=Path, help="folder for the outputs")
+    parser.add_argument("--make", action="store_true", help="make the session alone")
+    arguments = parser.parse_args()
+    photographs = large_views(arguments.views)
+    if arguments.make:
         return
     truth = ProcessedFolder(truth_path(session(person(WHO))))
     whole = load_session(session(person(WHO))).rig
-    rig = dataclasses.replace(whole, cameras=whole.cameras[: given.views])
-    stages = STAGES[: STAGES.index(given.until) + 1]
+    rig = dataclasses.replace(whole, cameras=whole.cameras[: arguments.views])
+    stages = STAGES[: STAGES.index(arguments.until) + 1]
     with tempfile.TemporaryDirectory() as passing:
-        out = given.keep or Path(passing) / "out"
+        out = arguments.keep or Path(passing) / "out"
         wall, cpu = time.perf_counter(), time.process_time()
-        config = read_config(None, given.rows)
+        config = read_config(None, arguments.rows)
         template = default_template_path()
-        report = run(photographs, out, template, config, until=given.until, bar=progress_bar)
+        report = run(photographs, out, template, config, until=arguments.until, bar=progress_bar)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         facts = report["stages"]
         error = {"reconstruct": mesh_error(out, truth, rig)}
@@ -117,12 +119,12 @@ def main() -> None:
     peak = max(facts[stage]["peak_rss_mb"] for stage in stages) / 1024
     rows.append(["all, photographs verified", f"{wall:.0f} ({cpu:.0f} cpu)", f"{peak:.2f}", ""])
     record(
-        f"A session of {NAMES[given.views]} views of 24 megapixels, RAW to {given.until}",
+        f"A session of {NAMES[arguments.views]} views of 24 megapixels, RAW to {arguments.until}",
         ["stage", "wall s", "peak GiB", "error"],
         rows,
-        f"The scanned head (Lee Perry-Smith, CC BY 3.0) in {NAMES[given.views]} views of 1.5 "
+        f"The scanned head (Lee Perry-Smith, CC BY 3.0) in {NAMES[arguments.views]} views of 1.5 "
         f"megapixels enlarged {TIMES} times a side, photographed with mosaic and noise at full "
-        f"size; true cameras; an atlas is of {given.rows} rows.",
+        f"size; true cameras; an atlas is of {arguments.rows} rows.",
     )
 
 

@@ -1,8 +1,8 @@
 """What becomes of a capture under each fault: whole, refused, or wrong without a word?
 
-Every fault that a story can tell happens to small captures, at a random moment each time. A
-capture that ends well is asked, photograph by photograph, who took it under which light (the pixels
-say so); `lightstage check` then says whether it would have found what differs.
+Every fault that a story can have happens to small captures, at a random moment each time. The
+photographs of a capture that ends well show who took them under which light (by their pixels);
+then it is tested whether `lightstage check` would have found what differs.
 """
 
 from __future__ import annotations

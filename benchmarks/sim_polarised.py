@@ -258,7 +258,7 @@ def one_lamp(
         return analysed(found, config)[surface.pixel, 0]
 
     peer, known = timed(lambda: passed(dataclasses.replace(skin, diffuse=0.0)))
-    # A pixel's middle stands for its area only where the surface does not turn away within it.
+    # A pixel's middle represents its area only where the surface does not turn away within it.
     facing = np.einsum("nk,nk->n", surface.normal, surface.view) > 0.3
     shines = facing & (highlight > 0.01 * highlight.max())
     off_mirror = np.abs(highlight * shares[:, 1] - known)[shines] / highlight.max()
@@ -289,12 +289,12 @@ def leakage() -> list[Row]:
                     f"{parallel.mean():.3f}",
                 )
             )
-    for angle, bank, said in ((90.0, horizontal, "upright"), (0.0, ~horizontal, "horizontal")):
+    for angle, bank, lenses in ((90.0, horizontal, "upright"), (0.0, ~horizontal, "horizontal")):
         incidence, share = facet_shares(rig, rig.cameras[0], PolariserConfig(lens_deg=angle))
         near = incidence < 60
         rows.append(
             (
-                f"cam0, lenses {said}",
+                f"cam0, lenses {lenses}",
                 "0 to 60",
                 f"{share[near & bank].mean():.4f}",
                 f"{share[near & bank].max():.4f}",

@@ -153,8 +153,8 @@ def what_is_added(
                 for k in (0, 1)
             ]
             text = " / ".join(" ".join(f"{s:.2%}" for s in share) for share in shares)
-            said = f"{seconds:.1f}" if region == "all skin" else ""
-            rows.append((f"{name}: {what} add", region, said, "", text))
+            seconds_cell = f"{seconds:.1f}" if region == "all skin" else ""
+            rows.append((f"{name}: {what} add", region, seconds_cell, "", text))
         before = after
     return rows
 

@@ -36,11 +36,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--checkpoint", type=Path, help="a run; the shipped weights else")
     parser.add_argument("--picture", type=Path, help="PNG to write, with _0 and on in its name")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     from learning.checkpoint import load_super_resolution, shipped_super_resolution
     from learning.upscale.score import compare, methods_of
 
-    network, about = load_super_resolution(asked.checkpoint or shipped_super_resolution())
+    network, about = load_super_resolution(arguments.checkpoint or shipped_super_resolution())
     times, methods = network.config.times, methods_of(network)
     with tempfile.TemporaryDirectory() as folder:
         made = people(Path(folder), times)
@@ -64,7 +64,7 @@ def main() -> None:
     weights = sum(values.numel() for values in network.parameters())
     record(
         f"Learning, super-resolution at {times} times"
-        + (f", network of {asked.checkpoint.name}" if asked.checkpoint else ""),
+        + (f", network of {arguments.checkpoint.name}" if arguments.checkpoint else ""),
         ["textures", "method", "PSNR dB", "energy beyond the input's band", "correlation", "s"],
         table,
         f"{SUBJECTS} people that were not trained on, {ROWS // times} to {ROWS} rows, {LIGHTS} "
@@ -77,12 +77,12 @@ def main() -> None:
         + f". Network of {weights:,} weights and {about.step} steps. Energy: found over true. "
         "Seconds of wall time on a machine that others use too.",
     )
-    if asked.picture:
+    if arguments.picture:
         for index, picture in enumerate([cases["people, lit"][0], *([scan] if scan else [])]):
             low, true = planes(picture.low), planes(picture.high)
             both = [np.clip(methods[name](low), 0, 1) for name in ("lanczos", "network")]
             row = np.concatenate([as_squares(low, times), *both, true], axis=1)
-            path = asked.picture.with_stem(f"{asked.picture.stem}_{index}")
+            path = arguments.picture.with_stem(f"{arguments.picture.stem}_{index}")
             cv2.imwrite(str(path), np.rint(255 * row[..., ::-1]).astype(np.uint8))
 
 

@@ -31,7 +31,7 @@ LARGEST = {
     "diffuse_normal": 15.0,
     "specular_normal": 15.0,
 }
-"""What the brightest colour of a difference stands for; degrees for normals."""
+"""The value of the brightest colour of a difference; degrees for normals."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Demo:
     """A finished demo, read.
 
     Attributes:
-        at: where its parts lie.
+        at: where its parts are.
         session: the simulated capture.
         coarse: views' maps before the mesh was known.
         found: the processed folder.

@@ -1,4 +1,4 @@
-"""Run a command as a user would, and say how long it took and how much memory it held."""
+"""Run a command as a user would, and report how long it took and how much memory it held."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def run_measured(command: Sequence[str]) -> Measured:
     """Run a command to its end; its output is passed through.
 
     The command has a process group of its own, so that Ctrl-C and SIGTERM reach it once, from
-    here: it is interrupted, waited for, and KeyboardInterrupt goes on. What does not end within
+    here: it is interrupted, waited for, and KeyboardInterrupt continues. What does not end within
     `GRACE_S` is killed.
     """
     start = time.perf_counter()

@@ -105,7 +105,7 @@ def wireframe(image: np.ndarray, mesh: Mesh, camera: Camera) -> np.ndarray:
         camera: the view.
 
     Returns:
-        A copy with the wires, half transparent, since they lie dense.
+        A copy with the wires, half transparent, since they are dense.
     """
     shown = image.copy()
     scale = image.shape[0] / camera.height_px

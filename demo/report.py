@@ -183,7 +183,7 @@ def figure_parts(
         Table(
             ("part", "error against truth", "value", "unit"),
             errors,
-            "Over the face skin of which the result claims to know something (the share stands "
+            "Over the face skin of which the result claims to know something (the share is "
             "beside). Albedo: 1 is perfect white. Unit 1 means a plain number.",
         ),
         Table(
@@ -204,7 +204,7 @@ def figure_parts(
             "The same inside the two steps of processing.",
         ),
         Table(("what", "version"), list(versions.items()), f"{today}, {machine()}, {commit()}"),
-        *(f"Warning of processing: {said}" for said in report.get("warnings", [])),
+        *(f"Warning of processing: {warning}" for warning in report.get("warnings", [])),
     ]
 
 

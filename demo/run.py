@@ -43,8 +43,8 @@ def run(config: DemoConfig, out: Path) -> int:
     write_steps(at, config, done)
     plan = steps(config, at)
     for number, step in enumerate(plan, 1):
-        said = shlex.join(["python", "-m", *step.arguments])
-        print(f"\n[{number}] {step.title}\n    {said}", flush=True)
+        command = shlex.join(["python", "-m", *step.arguments])
+        print(f"\n[{number}] {step.title}\n    {command}", flush=True)
         measured = run_measured([sys.executable, "-m", *step.arguments])
         print(f"    {measured.seconds:.1f} s, {measured.peak_mb:.0f} MB", flush=True)
         if measured.code:
@@ -54,7 +54,7 @@ def run(config: DemoConfig, out: Path) -> int:
             )
             return measured.code
         cost = {"seconds": round(measured.seconds, 2), "peak_mb": round(measured.peak_mb, 1)}
-        done.append({"name": step.name, "title": step.title, "command": said, **cost})
+        done.append({"name": step.name, "title": step.title, "command": command, **cost})
         write_steps(at, config, done)
     print("\n[report] pictures and errors of every stage", flush=True)
     return run_measured([sys.executable, "-m", "demo.report", str(out)]).code
@@ -84,7 +84,7 @@ def _clear(at: Layout) -> None:
 
 
 def scan_is_there() -> bool:
-    """Whether the scanned head lies where the simulator looks for it."""
+    """Whether the scanned head is where the simulator searches for it."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     folder = Path(os.environ.get("LIGHTSTAGE_DATA", beside))
     return (folder / "lps_head" / "LeePerrySmith.glb").is_file()

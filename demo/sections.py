@@ -90,7 +90,7 @@ def stage_section(demo: Demo) -> Section:
             Picture(
                 side_by_side(patterns, ROW_PX + 24),
                 "All patterns by the frontal camera. x is the person's left and right, y up and "
-                "down, z front and back: the light should come from the side that the name says, "
+                "down, z front and back: the light should come from the side that the name gives, "
                 "and each pair added should give `full`.",
                 "light patterns",
             ),
@@ -148,7 +148,7 @@ def maps_section(demo: Demo) -> Section:
         parts.append(
             Picture(
                 side_by_side(row, ROW_PX + 24),
-                f"{words} The second should look like the truth. Difference: dark is none, "
+                f"{words} The second should resemble the truth. Difference: dark is none, "
                 f"yellow {LARGEST[name]:g}{unit} or more.",
                 name,
             )
@@ -215,7 +215,7 @@ def _larger(demo: Demo, camera: Camera) -> tuple[slice, slice]:
 def atlas_section(demo: Demo) -> Section:
     """The atlas beside the truth in the same texture."""
     parts: list[str | Picture] = [
-        "All views are blended into the template's texture: the same place of every face lies at "
+        "All views are blended into the template's texture: the same place of every face is at "
         "the same texel. Black was seen by no camera."
     ]
     covered = demo.found.read_atlas("confidence") > 0
@@ -296,7 +296,7 @@ def learning_section(demo: Demo) -> Section:
         "Learning",
         [
             "A network is shown a texture with light and shadow in it, as a photograph gives, and "
-            "learns to say albedo. Training on the few people above for less than a minute shows "
+            "learns to find albedo. Training on the few people above for less than a minute shows "
             "that training works; the maps below come from the weights that are shipped, which "
             "were trained on other simulated people alone.",
             _losses(demo),
@@ -358,7 +358,7 @@ def relit_section(demo: Demo) -> Section:
                 side_by_side(row, 444),
                 f"Light set {relit.name}: error over the skin {share:.0%} of the picture's own "
                 f"level, {relit.errors['srgb_psnr_db']:.1f} dB. Highlights and cast shadows should "
-                "lie in the same places. Hair and clothes are not captured.",
+                "be in the same places. Hair and clothes are not captured.",
                 f"relit {relit.name}",
             )
         )

@@ -1,4 +1,4 @@
-"""What the demo does: its configuration, where its parts lie, its commands in order."""
+"""What the demo does: its configuration, where its parts are, its commands in order."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from lightstage.formats.template import default_template_path
 
 ABOUT = Path(__file__).with_name("about.toml")
-"""What the demo says of the patches that it publishes."""
+"""The demo's statements on the patches that it publishes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Step:
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """Where each part of the demo lies."""
+    """Where each part of the demo is."""
 
     root: Path
 

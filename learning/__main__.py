@@ -15,7 +15,7 @@ from typing import Annotated
 
 import typer
 
-from learning import head_commands, photo_commands
+from learning import experiment_commands, head_commands, photo_commands
 from lightstage.commands import (
     ConsentsOption,
     JsonFlag,
@@ -33,6 +33,7 @@ from lightstage.formats.access import group_of, limited_access
 app = make_app("Render skin, train the networks, infer reflectance.")
 photo_commands.register(app)
 head_commands.register(app)
+experiment_commands.register(app)
 
 MapsOption = Annotated[Path, typer.Option(help="Folder of atlas maps.")]
 MeshOption = Annotated[Path, typer.Option(help="Mesh with the maps' UV, in their axes.")]

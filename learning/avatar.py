@@ -1,4 +1,4 @@
-"""`avatar`: photographs to a head that leaves the program, stage after stage.
+"""`avatar`: photographs, or captured maps, to a head that leaves the program, stage after stage.
 
 A stage whose inputs, options and code are those of the last run is skipped.
 """
@@ -20,11 +20,14 @@ from learning.detail.command import ABOUT, detail_command
 from learning.detail.config import RELIEF_MM, TIMES
 from learning.errors import MapsError, NoReliefError
 from learning.export.command import README, export_command, formats_of
+from learning.export.source import maps_folder
 from learning.photo.avatar_page import write_avatar_page
 from learning.photo.command import FIT, FitRequest, fit_command
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
+from lightstage.formats.exr import read_half_exr
 from lightstage.formats.files import others_in, read_json, sha256_file, write_json
+from lightstage.formats.processed import ProcessedFolder
 
 SCHEMA = "lightstage.avatar/1"
 STAGES = ("fit", "detail", "export")
@@ -38,7 +41,9 @@ Bar = Callable[[str], AbstractContextManager[ProgressCallback]]
 """Draws the progress of the stage that it is given."""
 
 
-def avatar_command(request: FitRequest, until: str, formats: str, bar: Bar) -> dict[str, Any]:
+def avatar_command(
+    request: FitRequest, until: str, formats: str, bar: Bar, maps: Path | None = None
+) -> dict[str, Any]:
     """Make a head of photographs of one person: OUT/fit, OUT/detail, OUT/export, a page; the facts.
 
     A texture too small for pores has no OUT/detail; a note says so.
@@ -48,26 +53,36 @@ def avatar_command(request: FitRequest, until: str, formats: str, bar: Bar) -> d
         until: the last stage, of `STAGES`.
         formats: of `export`, with commas.
         bar: of each stage that runs.
+        maps: of a captured head, such as a processed folder, in place of photographs: then there is
+            no stage `fit`.
 
     Raises:
         LightstageError: bad input; a stage that is there stays as it is.
     """
     began = time.monotonic()
-    if until not in STAGES:
-        raise ConfigError("--until", found=repr(until), expected=" or ".join(STAGES))
+    stages = STAGES if maps is None else STAGES[1:]
+    if bool(request.photographs) == (maps is not None):
+        raise ConfigError(
+            "PHOTO, --maps",
+            found="both" if request.photographs else "neither",
+            expected="photographs, or the maps of a captured head",
+        )
+    if until not in stages:
+        raise ConfigError("--until", found=repr(until), expected=" or ".join(stages))
     formats_of(formats)
     out = request.out
-    others = others_in(out, [RECORD, PAGE, *STAGES])
+    others = others_in(out, [RECORD, PAGE, *stages])
     if others:
         raise MapsError(
             out,
             field="--out",
             found=f"a folder that holds {others[0]}",
-            expected="a new folder, or one that avatar made",
+            expected="a new folder, or one that avatar made, of photographs or of maps as now",
             hint="Choose another --out.",
         )
     made = _record(out)
-    fit_key = _hash(_fit_inputs(request))
+    source = out / "fit" if maps is None else maps
+    fit_key = _hash(_fit_inputs(request) if maps is None else _maps_inputs(maps, request.template))
     keys = {
         "fit": fit_key,
         "detail": _hash([fit_key, RELIEF_MM, TIMES]),
@@ -75,7 +90,7 @@ def avatar_command(request: FitRequest, until: str, formats: str, bar: Bar) -> d
     }
     skipped = []
     notes: list[str] = []
-    for stage in STAGES[: STAGES.index(until) + 1]:
+    for stage in stages[: stages.index(until) + 1]:
         if _is_made(stage, made, keys[stage], out):
             skipped.append(stage)
             continue
@@ -85,17 +100,17 @@ def avatar_command(request: FitRequest, until: str, formats: str, bar: Bar) -> d
                 fit_command(dataclasses.replace(request, out=out / "fit"), progress)
                 made = {}  # what is there was made of another fit
             elif stage == "detail":
-                key = key if _detailed(out, progress) else FLAT + key
+                key = key if _detailed(source, out, progress) else FLAT + key
             else:
-                notes += _exported(request, formats, progress)
+                notes += _exported(source, request, formats, progress)
         made[stage] = key
         _keep(out, made)
-    parts = [stage for stage in STAGES if not made.get(stage, FLAT).startswith(FLAT)]
+    parts = [stage for stage in stages if not made.get(stage, FLAT).startswith(FLAT)]
     if not _is_newer(out / PAGE, out / RECORD):
         with bar("avatar page") as progress:
-            write_avatar_page(out / PAGE, parts)
+            write_avatar_page(out / PAGE, parts, maps)
             progress(1, 1)
-    facts = read_json(out / "fit" / FIT)
+    facts = read_json(out / "fit" / FIT) if maps is None else _facts_of(maps)
     if made.get("detail", "").startswith(FLAT):
         notes.insert(
             0,
@@ -125,11 +140,11 @@ def _is_newer(page: Path, record: Path) -> bool:
     return page.exists() and page.stat().st_mtime_ns >= record.stat().st_mtime_ns
 
 
-def _detailed(out: Path, progress: ProgressCallback) -> bool:
+def _detailed(source: Path, out: Path, progress: ProgressCallback) -> bool:
     """Make OUT/detail; false, and one of another fit is gone, where there is no relief."""
     folder = out / "detail"
     try:
-        detail_command(out / "fit", None, folder, RELIEF_MM, TIMES, progress)
+        detail_command(source, None, folder, RELIEF_MM, TIMES, progress)
     except NoReliefError:
         if (folder / ABOUT).is_file():
             shutil.rmtree(folder)
@@ -137,11 +152,19 @@ def _detailed(out: Path, progress: ProgressCallback) -> bool:
     return True
 
 
-def _exported(request: FitRequest, formats: str, progress: ProgressCallback) -> list[str]:
+def _exported(
+    source: Path, request: FitRequest, formats: str, progress: ProgressCallback
+) -> list[str]:
     """Make OUT/export; what to say of it."""
-    out = request.out
     facts = export_command(
-        out / "fit", None, formats, out / "export", request.template, None, progress, replace=True
+        source,
+        None,
+        formats,
+        request.out / "export",
+        request.template,
+        None,
+        progress,
+        replace=True,
     )
     notes: list[str] = facts["notes"]
     return notes
@@ -161,6 +184,21 @@ def _fit_inputs(request: FitRequest) -> list[Any]:
         [None if path is None else _content(path) for path in named],
         [request.face, request.film_mm, request.rows, request.refine],
     ]
+
+
+def _maps_inputs(maps: Path, template: Path) -> list[Any]:
+    """All that a captured head's export depends on."""
+    folder = maps_folder(maps)
+    beside = ProcessedFolder(folder.parent)
+    files = [*sorted(folder.glob("*.exr")), beside.registered_mesh, beside.head_pose]
+    files += sorted(path for path in template.rglob("*") if path.is_file())
+    return [code_version(), [[path.name, _content(path)] for path in files]]
+
+
+def _facts_of(maps: Path) -> dict[str, Any]:
+    """What `fit.json` says of a fit, of a captured head."""
+    albedo = read_half_exr(maps_folder(maps) / "diffuse_albedo.exr")
+    return {"rows": albedo.shape[0], "columns": albedo.shape[1], "lamps": None, "notes": []}
 
 
 def _content(path: Path) -> str | None:

@@ -13,6 +13,8 @@ from torch import Tensor
 from learning import augment
 from learning.clock import RENDERING, Clock
 from learning.encoding import (
+    OWN_CHANNELS,
+    OWN_INPUTS,
     Reference,
     SpecularFrame,
     absolute_reference,
@@ -78,6 +80,8 @@ class DataConfig:
             in the axes of the `head`.
         relative: tell colours against the lit texture's mean and normals against the shape's
             (see learning.encoding); the published networks do not.
+        whole: show the whole texture, shrunk to the patch's size, and train on its albedo, as
+            published; else these six channels stay empty.
         detail_px: standard deviation of the blur against which the texture's contrast is told to
             go around the network; 0 for none, as published.
     """
@@ -92,6 +96,7 @@ class DataConfig:
     shadow_sets: int = 64
     specular_frame: SpecularFrame = "tangent"
     relative: bool = False
+    whole: bool = True
     detail_px: float = 0.0
 
 
@@ -288,6 +293,8 @@ class PatchData:
                 reference = dataclasses.replace(reference, detail=detail)
             inputs = network_input(texture, shape_normal, whole_texture, reference)
             channels = covered_channels(covered, whole_covered)
+            if not self._config.whole:
+                inputs[:, OWN_INPUTS:], channels[:, OWN_CHANNELS:] = 0, 0
             target = encode_maps(skin, whole_skin.diffuse_albedo, channels, reference)
         return Batch(
             inputs,
@@ -369,7 +376,8 @@ class PatchData:
         arrays = self._shrunk(scan, (rows, columns))
         covered = arrays["confidence"][:, :, 0] > 0
         surface = texel_surface(arrays["position"], covered, smooth_px=1.0)
-        return ScanLight(groups, PositionGrid(arrays["position"], surface.normal, covered))
+        name = info.sha256 and f"{info.sha256} of skin"
+        return ScanLight(groups, PositionGrid(arrays["position"], surface.normal, covered, name))
 
 
 def _region(arrays: dict[str, np.ndarray], inner: tuple[slice, slice]) -> Region:

@@ -29,6 +29,8 @@ from learning.render.shading import SkinMaps, unit
 from learning.render.subsurface import blur
 
 SpecularFrame = Literal["tangent", "head"]
+OWN_INPUTS = 6
+"""Input channels of the patch itself; those of the whole texture follow."""
 OWN_CHANNELS = 10
 """Channels of the patch's own maps; those of the whole albedo follow."""
 SPECULAR_MOST = 0.1

@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from learning.data import DataConfig
 from learning.devices import CPU, device_of
 from learning.encoding import (
+    OWN_INPUTS,
     Reference,
     Reflectance,
     absolute_reference,
@@ -169,8 +170,11 @@ def infer(
     """
     given = prepare(data, texture, mesh, head_from_mesh, named)
     lit, whole, reference = given.lit, given.whole, given.reference
-    inputs = network_input(lit, given.shape_normal, torch.zeros_like(lit), reference)[:, :6]
-    context = network_input(whole, torch.zeros_like(whole), whole, reference)[:, 6:]
+    inputs = network_input(lit, given.shape_normal, torch.zeros_like(lit), reference)
+    inputs = inputs[:, :OWN_INPUTS]
+    context = network_input(whole, torch.zeros_like(whole), whole, reference)[:, OWN_INPUTS:]
+    if not data.whole:
+        context = torch.zeros_like(context)
     channels, spread = run_tiles(generator, inputs, context, given.patch_px, progress)
     return finish_maps(decode_maps(channels, reference), spread, given)
 

@@ -283,12 +283,3 @@ def _require_losses(config: Any, where: str | Path) -> None:
             expected="at least one above 0",
             hint="The adversarial loss alone does not ask for the maps of the person shown.",
         )
-    if "render_weight" in weights and config.render_weight > 0 and not config.environments:
-        raise ConfigError(
-            where,
-            field="environments",
-            found="0",
-            expected=f"at least 1 with a render_weight of {config.render_weight:g}",
-            hint="The rendering loss is divided by environments. To train without it, set "
-            "render_weight to 0.",
-        )

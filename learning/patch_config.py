@@ -22,6 +22,7 @@ class PatchConfig(TrainingConfig):
         discriminator: its size.
         data: which patches.
         epochs: passes over the patches.
+        steps: of the training, in place of `epochs`.
         beta1: Adam's.
         beta2: Adam's.
         constant_share: part of the training before the learning rate falls linearly to 0.
@@ -35,6 +36,7 @@ class PatchConfig(TrainingConfig):
     discriminator: DiscriminatorConfig = dataclasses.field(default_factory=DiscriminatorConfig)
     data: DataConfig = dataclasses.field(default_factory=DataConfig)
     epochs: int = 200
+    steps: int | None = None
     beta1: float = 0.5
     beta2: float = 0.999
     constant_share: float = 0.5
@@ -62,7 +64,7 @@ class TrainConfig(PatchConfig):
         render_weight: of the rendering loss.
         render_norm: of the rendering loss: over the `patch`, under which the published weight of .3
             matters, or the mean of `texel`s (see learning.losses).
-        environments: n_L of the rendering loss.
+        environments: n_L of the rendering loss; 0 for the input's own environment alone.
     """
 
     family: ClassVar[str] = "patches"

@@ -38,7 +38,7 @@ def patch_task(
         found = score(said, scored, data, config.score_patches, seed)
         return found, _samples(said, scored, store, seed)
 
-    steps = max(1, math.ceil(config.epochs * len(data.places) / config.batch))
+    steps = config.steps or max(1, math.ceil(config.epochs * len(data.places) / config.batch))
     return Task(data.draw, steps, len(data.places), finish)
 
 

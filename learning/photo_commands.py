@@ -110,11 +110,24 @@ def fit(
 
 
 def avatar(
-    photo: PhotosArgument,
     template: FaceTemplateOption,
     out: Annotated[
         Path, output_folder("--out", help="Folder of the avatar; what is up to date stays.")
     ],
+    photo: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Photographs of one person: JPEG, PNG, TIFF or linear .exr. Shape comes from all, "
+            "the texture from the first."
+        ),
+    ] = None,
+    maps: Annotated[
+        Path | None,
+        typer.Option(
+            help="Captured head in place of photographs: a processed folder, or its atlas. There "
+            "is no fit then."
+        ),
+    ] = None,
     landmarks: MarksOption = None,
     face: FaceOption = 1,
     film_mm: FilmOption = None,
@@ -132,11 +145,13 @@ def avatar(
     from learning.avatar import avatar_command
     from learning.photo.command import FitRequest
 
+    photos = tuple(photo or ())
     request = FitRequest(
-        tuple(photo), template, out, landmarks, face, film_mm, checkpoint, rows, refine, config
+        photos, template, out, landmarks, face, film_mm, checkpoint, rows, refine, config
     )
-    with limited_access(group_of([path.parent for path in photo])):
-        facts = avatar_command(request, until, formats, progress_bar)
+    given = [path.parent for path in photos] + ([] if maps is None else [maps])
+    with limited_access(group_of(given)):
+        facts = avatar_command(request, until, formats, progress_bar, maps)
     skipped = f"{', '.join(facts['skipped'])} up to date, " if facts["skipped"] else ""
     finish(
         f"{out}: {', '.join(facts['parts'])}; {facts['rows']} x {facts['columns']} texels, "

@@ -35,8 +35,10 @@ from processing.dataset import Store
 METRICS = "metrics.jsonl"
 OWN = (METRICS, "*.safetensors", "events.*", "samples.html", ".*")
 """What a run that stopped before its first checkpoint leaves, half-written files too."""
-BEFORE = {"shading": "physical", "ema": 0.0}
+BEFORE = {"shading": "physical", "ema": 0.0, "steps": None}
 """What a run did that began before these could be chosen."""
+BEFORE_DATA = {"whole": True}
+"""The same of the table `data`."""
 FREE = ("seconds", "precision", "compile", "save_seconds", "log_steps")
 """How long to go on, how fast on the device at hand, and what is written on the way, are new
 decisions each time."""
@@ -422,6 +424,8 @@ def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
     # Not every family has all of these to choose.
     before = {name: value for name, value in BEFORE.items() if name in wanted}
     begun = {**before, **checkpoint.config}
+    if isinstance(begun.get("data"), dict):
+        begun["data"] = {**BEFORE_DATA, **begun["data"]}
     differing = {
         name: values for name, values in _differences(begun, wanted).items() if name not in FREE
     }

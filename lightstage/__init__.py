@@ -1,4 +1,4 @@
-"""The light stage itself: lights, cameras, sessions; and the floor that every package stands on."""
+"""The light stage itself: lights, cameras, sessions; and the floor that every package imports."""
 
 import os
 from pathlib import Path

@@ -40,10 +40,10 @@ def keep_apart(root: Path) -> None:
 
 
 def commit_of(root: Path) -> str | None:
-    """The commit that a checkout stands at; None where it is none, or cannot be read."""
+    """The commit of a checkout; None where it is none, or cannot be read."""
     git = root / ".git"
     try:
-        if git.is_file():  # a worktree of its own: the file says where its folder is
+        if git.is_file():  # a worktree of its own: the file names its folder
             git = root / git.read_text().removeprefix("gitdir:").strip()
         head = (git / "HEAD").read_text().strip()
         if not head.startswith("ref: "):

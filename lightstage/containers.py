@@ -11,7 +11,7 @@ MOST_PARTS = 64
 JPEG_HEAD = b"\xff\xd8\xff"
 PNG_HEAD = b"\x89PNG\r\n\x1a\n"
 FRAMES = (0xC0, 0xC1, 0xC2, 0xC3, *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
-"""Markers of a JPEG's frame headers, which tell bits, size and components [JPEG1992]."""
+"""Markers of a JPEG's frame headers, which give bits, size and components [JPEG1992]."""
 
 
 def boxes(reader: Reader, place: int, end: int | None) -> Iterator[tuple[bytes, int, int]]:

@@ -1,8 +1,8 @@
-"""Developed pictures (JPEG, PNG, TIFF) back to linear light, as far as they tell it.
+"""Developed pictures (JPEG, PNG, TIFF) back to linear light, as far as they allow it.
 
 A camera's tone curve, its sharpening and its denoising stay in them; clipped colours are only
-counted. OpenCV decodes, tifffile tells a TIFF's fields; what display values mean is said by the ICC
-profile, else taken for sRGB.
+counted. OpenCV decodes, tifffile reads a TIFF's fields; the meaning of display values is taken
+from the ICC profile, else from sRGB.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ class Developed:
         kind: ``JPEG``, ``PNG`` or ``TIFF``.
         bits: 8 or 16.
         profile: name of the ICC profile; ``sRGB`` also where there is none.
-        told: whether there was a profile.
+        has_profile: whether there was a profile.
         clipped: share of pixels with a colour at white.
-        exposure: seconds * ISO / f-number^2; None where the file does not tell.
+        exposure: seconds * ISO / f-number^2; None where the file does not state it.
     """
 
     rgb: np.ndarray
     kind: str
     bits: int
     profile: str
-    told: bool
+    has_profile: bool
     clipped: float
     exposure: float | None
 
@@ -99,9 +99,9 @@ def read_developed(path: Path) -> Developed:
     profile, opaque = _check_tiff(data, path) if kind == "TIFF" else (None, False)
     pixels, embedded = _decoded(data, path)
     codes = _colours(pixels, path, opaque=opaque)
-    told = read_exif(path)
-    if kind != "TIFF" and told.orientation is not None:  # OpenCV turns TIFFs itself
-        codes = np.ascontiguousarray(OF_TIFF[told.orientation].upright(codes))
+    exif = read_exif(path)
+    if kind != "TIFF" and exif.orientation is not None:  # OpenCV turns TIFFs itself
+        codes = np.ascontiguousarray(OF_TIFF[exif.orientation].upright(codes))
     raw = embedded if profile is None else profile
     if raw is None and kind == "PNG":
         _check_gamma(data, path)
@@ -114,7 +114,7 @@ def read_developed(path: Path) -> Developed:
         meaning.name,
         raw is not None,
         float((codes == most).any(axis=2).mean()),
-        told.exposure,
+        exif.exposure,
     )
 
 
@@ -122,7 +122,7 @@ def _refused(path: Path, found: str, hint: str = "") -> FormatError:
     return FormatError(path, found=found, expected=EXPECTED, hint=hint)
 
 
-_CMYK = "Printing inks do not tell light: export the picture as RGB with 16 bits."
+_CMYK = "Printing inks do not give light: export the picture as RGB with 16 bits."
 
 
 def _check_jpeg(data: bytes, path: Path) -> None:
@@ -151,12 +151,12 @@ def _check_png(data: bytes, path: Path) -> None:
 
 
 def _check_gamma(data: bytes, path: Path) -> None:
-    """Refuse a PNG without a profile that says of itself that it is no sRGB."""
+    """Refuse a PNG without a profile whose own chunks deny that it is sRGB."""
     reader = Reader(io.BytesIO(data))
-    told = {kind: reader.bytes_at(place, min(size, 4)) for kind, place, size in chunks(reader)}
-    if b"sRGB" in told or len(told.get(b"gAMA", b"")) < 4:
+    found = {kind: reader.bytes_at(place, min(size, 4)) for kind, place, size in chunks(reader)}
+    if b"sRGB" in found or len(found.get(b"gAMA", b"")) < 4:
         return
-    gamma = int.from_bytes(told[b"gAMA"], "big")
+    gamma = int.from_bytes(found[b"gAMA"], "big")
     if abs(gamma - SRGB_GAMMA) > 0.02 * SRGB_GAMMA:
         raise _refused(
             path,
@@ -228,7 +228,7 @@ def _colours(pixels: np.ndarray, path: Path, *, opaque: bool) -> np.ndarray:
             raise _refused(
                 path,
                 f"a picture that is transparent in {100 * float(clear.mean()):.3g} % of its pixels",
-                "What lies behind is not told: flatten the picture, or take the one before it "
+                "What is behind is not known: flatten the picture, or take the one before it "
                 "was cut out.",
             )
     return pixels[..., 2::-1]

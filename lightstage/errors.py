@@ -26,7 +26,7 @@ class LightstageError(Exception):
         expected: str = "",
         hint: str = "",
     ) -> None:
-        # A file's name is one line, whatever stands in it.
+        # A file's name is one line, whatever is in it.
         named = (
             printable(where, LONGEST_MESSAGE, squeeze=False) if isinstance(where, Path) else where
         )
@@ -36,18 +36,18 @@ class LightstageError(Exception):
         self.expected = printable_lines(expected)
         self.hint = printable_lines(hint)
         place = f"{self.where}, {self.field}" if field else self.where
-        said = [f"found {self.found}"] if found else []
-        said += [f"expected {self.expected}"] if expected else []
-        text = f"{place}: {', '.join(said)}" if said else place
+        parts = [f"found {self.found}"] if found else []
+        parts += [f"expected {self.expected}"] if expected else []
+        text = f"{place}: {', '.join(parts)}" if parts else place
         super().__init__(f"{text}. {self.hint}" if hint else text)
 
 
 class FormatError(LightstageError):
-    """A file does not hold what its format says."""
+    """A file does not hold what its format requires."""
 
 
 def unreadable_file(path: Path, error: OSError) -> FormatError:
-    """What the system says of a file that cannot be read."""
+    """The system's error for a file that cannot be read."""
     return FormatError(path, found=error.strerror or str(error), expected="a file")
 
 
@@ -56,7 +56,7 @@ class RigError(FormatError):
 
 
 class MotionError(LightstageError):
-    """Photographs that do not tell where their cameras stood, or how large anything is."""
+    """Photographs that do not show where their cameras were, or how large anything is."""
 
 
 class FaceError(LightstageError):

@@ -1,4 +1,4 @@
-"""What a photograph says of its own taking: settings, body, time, and whether it names a person.
+"""A photograph's own record of its taking: settings, body, time, and whether it names a person.
 
 Read from the headers alone, and never written: a RAW is not rewritten. Looked at are
 
@@ -62,17 +62,17 @@ MOST_STOPS = 6.0
 
 @dataclasses.dataclass(frozen=True)
 class Exif:
-    """What a photograph tells; None where it does not.
+    """The fields of a photograph; None where it does not have one.
 
     Attributes:
         make: the maker's name.
-        model: maker and name, as the file says.
+        model: maker and name, as in the file.
         serial: of the body.
         iso: sensitivity.
         exposure_s: exposure time.
         f_number: aperture.
-        taken: DateTimeOriginal, without a zone unless the file tells it.
-        private: names of the fields that may tell who or where; never what they say.
+        taken: DateTimeOriginal, without a zone unless the file has it.
+        private: names of the fields that may reveal who or where; never their values.
         focal_mm: the lens's focal length.
         focal_35mm_mm: the same for film 36 mm wide.
         focal_plane_px_per_mm: pixels on a millimetre of the sensor.
@@ -94,7 +94,7 @@ class Exif:
 
     @property
     def exposure(self) -> float | None:
-        """Seconds * ISO / f-number^2; None where the file does not tell them all."""
+        """Seconds * ISO / f-number^2; None where the file does not state them all."""
         time_s, iso, stop = self.exposure_s or 0, self.iso or 0, self.f_number or 0
         return float(time_s * iso / stop**2) if min(time_s, iso, stop) > 0 else None
 
@@ -103,10 +103,10 @@ def read_exif(path: Path) -> Exif:
     """Read a photograph's headers.
 
     Args:
-        path: of a RAW, DNG, JPEG, PNG or TIFF; another file (OpenEXR) tells nothing.
+        path: of a RAW, DNG, JPEG, PNG or TIFF; another file (OpenEXR) has no such fields.
 
     Raises:
-        OSError: the file cannot be read. Damaged headers tell less; they are no error.
+        OSError: the file cannot be read. Damaged headers give less; they are no error.
     """
     with path.open("rb", buffering=1 << 14) as file:
         return _collect(list(_parts(Reader(file))))
@@ -183,18 +183,18 @@ def _png_parts(reader: Reader) -> Iterator[Directory]:
 
 
 def _collect(parts: list[Directory]) -> Exif:
-    """What directories say, the first one that says it."""
+    """The value of directories, from the first one that has it."""
 
     def text(*tags: int, kind: str = "") -> str | None:
-        said = (d.text(t) for t in tags for d in parts if not kind or d.kind == kind)
-        return next((each for each in said if each), None)
+        texts = (d.text(t) for t in tags for d in parts if not kind or d.kind == kind)
+        return next((each for each in texts if each), None)
 
     def number(*tags: int) -> float | None:
-        said = (d.number(t) for t in tags for d in parts if d.kind in ("exif", "picture"))
-        return next((each for each in said if each is not None and each > 0), None)
+        numbers = (d.number(t) for t in tags for d in parts if d.kind in ("exif", "picture"))
+        return next((each for each in numbers if each is not None and each > 0), None)
 
     iso = number(ISO)
-    if iso == 65535:  # what does not fit in 16 bits stands in another field
+    if iso == 65535:  # what does not fit in 16 bits is in another field
         iso = number(ISO_SPEED) or iso
     turned = next((d.number(ORIENTATION) for d in parts if d.kind == "picture"), None)
     plane, unit = number(PLANE_X), number(PLANE_UNIT)
@@ -242,20 +242,20 @@ def _moment(
 
 
 def _private(parts: list[Directory]) -> Iterator[str]:
-    """Names of fields that are not empty and may say who or where."""
+    """Names of fields that are not empty and may reveal who or where."""
     for part in parts:
         if part.kind == "picture":
             for tag, name in NAMES.items():
-                if _says_something(part.tags.get(tag)):
+                if _has_text(part.tags.get(tag)):
                     yield name
         if part.kind == "exif":
-            if _says_something(part.tags.get(OWNER)):
+            if _has_text(part.tags.get(OWNER)):
                 yield "CameraOwnerName"
             comment = part.tags.get(USER_COMMENT)
             # Its first eight bytes name the letters' code.
-            if isinstance(comment, bytes) and _says_something(comment[8:]):
+            if isinstance(comment, bytes) and _has_text(comment[8:]):
                 yield "UserComment"
-        if part.kind == "canon" and _says_something(part.tags.get(9)):
+        if part.kind == "canon" and _has_text(part.tags.get(9)):
             yield "Canon OwnerName"
         if part.kind == "gps" and any(_is_placed(part.tags.get(tag)) for tag in GPS_FIELDS):
             yield "GPS"
@@ -265,14 +265,14 @@ def _private(parts: list[Directory]) -> Iterator[str]:
             yield from _iptc_names(_bytes(part.tags.get(IPTC, b"")))
 
 
-def _says_something(value: object) -> bool:
+def _has_text(value: object) -> bool:
     return any(c not in b" \0\t\r\n" for c in _bytes(value))
 
 
 def _is_placed(value: object) -> bool:
     if isinstance(value, tuple):
         return any(v == v for v in value)
-    return _says_something(value)
+    return _has_text(value)
 
 
 def _bytes(value: object) -> bytes:
@@ -299,6 +299,6 @@ def _iptc_names(record: bytes) -> Iterator[str]:
     place = 0
     while place + 5 <= len(record) and record[place] == 0x1C:
         set_, field, size = struct.unpack_from(">BBH", record, place + 1)
-        if set_ == 2 and field in IPTC_NAMES and _says_something(record[place + 5 :][:size]):
+        if set_ == 2 and field in IPTC_NAMES and _has_text(record[place + 5 :][:size]):
             yield IPTC_NAMES[field]
         place += 5 + size

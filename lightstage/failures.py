@@ -17,7 +17,7 @@ _FULL = {errno.ENOSPC, errno.EDQUOT}
 _FULL_TEXTS = ("no space left on device", "disk quota exceeded")
 _MEMORY_TEXTS = ("can't allocate memory", "not enough memory", "out of memory", "std::bad_alloc")
 _CODECS = ("safetensors", "safetensors_rust", "cv2", "rawpy", "OpenEXR", "zarr", "zlib", "PIL")
-"""Modules whose own errors speak of a file that they cannot read or write."""
+"""Modules whose own errors are of a file that they cannot read or write."""
 _MEANINGS = {
     errno.EACCES: ("no permission", "a place that you may read and write"),
     errno.EPERM: ("no permission", "a place that you may read and write"),
@@ -45,7 +45,7 @@ def explain(error: BaseException) -> LightstageError | None:
     if is_disk_full(error):
         name = getattr(error, "filename", None)
         return disk_full(Path(os.fsdecode(name)) if name else Path.cwd())
-    if isinstance(error, MemoryError) or _says(error, _MEMORY_TEXTS):
+    if isinstance(error, MemoryError) or _has_text(error, _MEMORY_TEXTS):
         return MemoryLimitError(
             "memory",
             found=_one_line(error),
@@ -68,12 +68,12 @@ def explain(error: BaseException) -> LightstageError | None:
 
 
 def is_disk_full(error: BaseException) -> bool:
-    """Whether an exception of any library says that the disk is full."""
+    """Whether an exception of any library means that the disk is full."""
     if isinstance(error, DiskFullError):
         return True
     if isinstance(error, OSError) and error.errno in _FULL:
         return True
-    return _says(error, _FULL_TEXTS)
+    return _has_text(error, _FULL_TEXTS)
 
 
 def disk_full(path: Path, written: int = 0, needed: int | None = None) -> DiskFullError:
@@ -81,7 +81,7 @@ def disk_full(path: Path, written: int = 0, needed: int | None = None) -> DiskFu
 
     Args:
         path: what was being written.
-        written: bytes of it that lay on the disk when it was full; they are removed by now.
+        written: bytes of it that were on the disk when it was full; they are removed by now.
         needed: bytes of the whole, where that is known.
     """
     free = free_bytes(path)
@@ -119,17 +119,17 @@ def _system_error(error: OSError) -> LightstageError:
         os.fsdecode(n) for n in (error.filename, error.filename2) if isinstance(n, str | bytes)
     ]
     where = " -> ".join(names) or "the system"
-    said = error.strerror or _one_line(error)
+    reason = error.strerror or _one_line(error)
     if error.errno not in _MEANINGS:
-        return DiskError(where, found=said)
+        return DiskError(where, found=reason)
     found, expected = _MEANINGS[error.errno]
     return DiskError(where, found=found, expected=expected)
 
 
-def _says(error: BaseException, texts: tuple[str, ...]) -> bool:
-    """Whether an exception of a library that has no class of its own for it says one of `texts`."""
-    said = str(error).lower()
-    return isinstance(error, Exception) and any(text in said for text in texts)
+def _has_text(error: BaseException, texts: tuple[str, ...]) -> bool:
+    """Whether an exception of a library that has no class of its own for it has one of `texts`."""
+    message = str(error).lower()
+    return isinstance(error, Exception) and any(text in message for text in texts)
 
 
 def _one_line(error: BaseException) -> str:

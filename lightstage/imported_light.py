@@ -38,10 +38,10 @@ class Exposures:
         """Take a picture in; what brings its light to that of the camera's first one.
 
         Raises:
-            FormatError: it tells its exposure and the first one does not, or they are too far
-                apart.
+            FormatError: it has its exposure in its file and the first one does not, or they are too
+                far apart.
         """
-        profile = picture.profile if picture.told else "no profile, taken for sRGB"
+        profile = picture.profile if picture.has_profile else "no profile, taken for sRGB"
         self.kinds[f"{picture.kind} of {picture.bits} bits, {profile}"] += 1
         name = f"{pattern}/{camera}"
         if picture.clipped > CLIPPED:
@@ -51,7 +51,7 @@ class Exposures:
             raise FormatError(
                 path,
                 field="exposure",
-                found="none told" if picture.exposure is None else "one that the file tells",
+                found="none in the file" if picture.exposure is None else "one in the file",
                 expected=f"the same as in {whose}: photographs of unknown exposure do not belong "
                 "together",
                 hint="Export all in one way, with their EXIF fields or without.",
@@ -104,17 +104,17 @@ def developed_findings(seen: Exposures) -> list[Finding]:
                 f"{100 * seen.clipped[worst]:.2g} % of the pixels at white, the most of "
                 f"{counted(len(seen.clipped), 'picture')}",
                 f"at most {100 * CLIPPED:g} %",
-                "What is brighter is lost there, and later stages cannot tell.",
+                "What is brighter is lost there, and later stages cannot know.",
             )
         )
     if seen.factors:
-        told = ", ".join(f"{name} times {factor:.4g}" for name, factor in seen.factors.items())
+        factors = ", ".join(f"{name} times {factor:.4g}" for name, factor in seen.factors.items())
         found.append(
             Finding(
                 "warn",
                 "exposure",
                 "unlike exposures in the files",
-                f"{told}, to bring each camera's to one",
+                f"{factors}, to bring each camera's to one",
                 "one exposure for all",
                 "A tone curve makes this inexact.",
             )

@@ -35,7 +35,7 @@ from lightstage.session import (
 from lightstage.session.plan import FILE_NAME
 
 ONE_LIGHT = "full"
-"""Pattern of photographs that lie in no pattern's folder."""
+"""Pattern of photographs that are in no pattern's folder."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +55,7 @@ def find_photographs(
         folder: holds PATTERN/CAMERA.EXT, or frames/PATTERN/CAMERA.EXT, or CAMERA.EXT alone.
         rig: whose cameras and lights the names mean.
         cameras: ids, where the rig's cameras are not known yet.
-        one_light: pattern of photographs that lie in the folder itself; None where they lie in
+        one_light: pattern of photographs that are in the folder itself; None where they are in
             patterns' folders, or under `ONE_LIGHT` where there is none of these.
 
     Raises:
@@ -168,7 +168,7 @@ def _top(folder: Path) -> Path:
             found="a session",
             expected="a folder of photographs, PATTERN/CAMERA.EXT in it",
             hint="A session needs no import: `lightstage-processing run SESSION --out OUT` takes "
-            "it, and `lightstage capture --resume` goes on with one that is not finished. To make "
+            "it, and `lightstage capture --resume` resumes one that is not finished. To make "
             "another session of its photographs, without its consent, calibration and levels, "
             f"import {folder / 'frames'}.",
         )
@@ -196,7 +196,7 @@ def import_session(
 
     Args:
         folder: see find_photographs.
-        rig: where lights and cameras stood.
+        rig: where lamps and cameras were.
         out: the session's folder, new.
         subject: pseudonym.
         expression: such as ``neutral``.
@@ -207,7 +207,7 @@ def import_session(
         findings: of whoever looked before, for the journal.
         one_light: see find_photographs.
         emitters: colours of the lights that were driven; none named: all. Where some are, the
-            session records each light's level: 0 or what the pattern's name says.
+            session records each lamp's level: 0 or that of the pattern's name.
 
     Returns:
         How many photographs, and what should be known of them.
@@ -300,7 +300,7 @@ def _keep_all(
 
 
 def _require_size(path: Path, opened: Opened, rig: Rig, camera_id: str) -> None:
-    """Refuse a photograph of another size than rig.json tells of its camera."""
+    """Refuse a photograph of another size than rig.json has for its camera."""
     camera = rig.camera(camera_id)
     width, height = opened.size_px
     if (width, height) == (camera.width_px, camera.height_px):
@@ -310,7 +310,7 @@ def _require_size(path: Path, opened: Opened, rig: Rig, camera_id: str) -> None:
         path,
         found=f"{width} x {height} pixels",
         expected=f"{camera.width_px} x {camera.height_px}, as all of {camera_id}'s in the rig",
-        hint="It lies on its side: keep the camera's own mark of orientation."
+        hint="It is on its side: keep the camera's own mark of orientation."
         if turned
         else "Neither crop nor scale photographs: the rig's lens and pose hold for whole ones.",
     )

@@ -90,7 +90,7 @@ def interrupted() -> bool:
 
 
 def ignore_signals() -> None:
-    """For a process that has said its last words: its exit code must stay what it is."""
+    """For a process that has printed its last line: its exit code must stay what it is."""
     for number in NUMBERS:
         signal.signal(number, signal.SIG_IGN)
 
@@ -118,8 +118,8 @@ def signals_put_off() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def signals_told(tell: Callable[[], object]) -> Iterator[None]:
-    """Call `tell` when a signal comes, from a thread of its own: whatever the main one does.
+def on_signals(notify: Callable[[], object]) -> Iterator[None]:
+    """Call `notify` when a signal comes, from a thread of its own: whatever the main one does.
 
     The main thread hears a signal only when what it waits for, or computes in C, is over.
     """
@@ -132,7 +132,7 @@ def signals_told(tell: Callable[[], object]) -> Iterator[None]:
     def listen() -> None:
         while numbers := heard.recv(64):
             if any(number in NUMBERS for number in numbers):
-                tell()
+                notify()
 
     before = signal.set_wakeup_fd(waker.fileno(), warn_on_full_buffer=False)
     thread = threading.Thread(target=listen, name="signals", daemon=True)

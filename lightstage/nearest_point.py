@@ -14,7 +14,7 @@ def nearest_equations(origins: np.ndarray, directions: np.ndarray) -> tuple[np.n
 
     Returns:
         (3, 3) symmetric matrix A and (3,) b of A p = b, b in the unit of the origins. The least
-        eigenvalue of A tells how far the lines are from parallel: of two, about half their angle
+        eigenvalue of A measures how far the lines are from parallel: of two, about half their angle
         squared.
     """
     origins, directions = np.reshape(origins, (-1, 3)), np.reshape(directions, (-1, 3))

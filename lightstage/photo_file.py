@@ -35,7 +35,7 @@ _HEADS = {
     (0, b"FOVb"): ".x3f",
     (6, b"HEAPCCDR"): ".crw",
 }
-"""Containers that LibRaw reads beside TIFF, CR3 and RAF: where their first bytes say which."""
+"""Containers that LibRaw reads beside TIFF, CR3 and RAF: by their first bytes."""
 _RAF_PARTS = (84, 92, 100)
 """Where a RAF's header has offset and length of its preview, its header and its counts."""
 _MAX_IFDS = 32
@@ -71,9 +71,9 @@ class _Source:
 
 
 def identify(data: bytes, where: str | Path) -> Kind:
-    """Tell a RAW, DNG or OpenEXR photograph by its bytes; the name counts for nothing.
+    """Recognise a RAW, DNG or OpenEXR photograph by its bytes; the name counts for nothing.
 
-    The header must parse, and a file must be as long as its directories, boxes or header say.
+    The header must parse, and a file must be as long as its directories, boxes or header require.
 
     Args:
         data: the whole file.
@@ -132,7 +132,7 @@ def _identify(source: _Source, where: str | Path) -> Kind:
 def _require_length(
     source: _Source, where: str | Path, wanted: Callable[[_Source], int | None]
 ) -> None:
-    """Refuse a file that is shorter than its own header says, or whose header is cut."""
+    """Refuse a file that is shorter than by its own header, or whose header is cut."""
     try:
         length = wanted(source)
     except struct.error:
@@ -173,8 +173,8 @@ def _tiff_suffix(source: _Source, order: str, where: str | Path) -> str:
     try:
         for tags in _directories(source, order):
             if not tags.get(_REDUCED, [0])[0] & 1:
-                told = tags.get(_PHOTOMETRIC, [])
-                photometric |= set(told or ([-1] if _PLACES.keys() & tags.keys() else []))
+                values = tags.get(_PHOTOMETRIC, [])
+                photometric |= set(values or ([-1] if _PLACES.keys() & tags.keys() else []))
             if _DNG_VERSION in tags:
                 suffix = ".dng"
             elif _MAKE in tags and not suffix:

@@ -23,7 +23,7 @@ def printable(value: object, longest: int = LONGEST, squeeze: bool = True) -> st
     Args:
         value: a text, or whatever has one.
         longest: characters at most; a longer text ends with ``…``.
-        squeeze: each run of white space becomes one space, and none stands at the ends; NUL bytes
+        squeeze: each run of white space becomes one space, and none is at the ends; NUL bytes
             at the ends, with which cameras fill their fields, go too. Otherwise it is escaped.
     """
     text = str(value)

@@ -1,4 +1,4 @@
-"""What LibRaw says of a file that it cannot read, told apart: damaged, unknown, no photograph."""
+"""LibRaw's errors for a file that it cannot read: damaged, unknown, no photograph."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ def unreadable_raw(path: Path, error: Exception) -> FormatError:
     if isinstance(error, OSError):
         return unreadable_file(path, error)
     try:
-        # What its own header tells against it says more than LibRaw does.
+        # A fault of its own header is clearer than LibRaw's error.
         kind = identify_file(path)
     except OSError as refused:
         return unreadable_file(path, refused)
     except FormatError as refused:
         return refused
     text = error.args[0] if error.args else error
-    said = text.decode(errors="replace") if isinstance(text, bytes) else str(text)
+    message = text.decode(errors="replace") if isinstance(text, bytes) else str(text)
     unknown = (rawpy.LibRawFileUnsupportedError, rawpy.NotSupportedError, NotImplementedError)
     name = kind.suffix.removeprefix(".").upper()
     size = path.stat().st_size
@@ -52,7 +52,7 @@ def unreadable_raw(path: Path, error: Exception) -> FormatError:
         )
     return FormatError(
         path,
-        found=f"a damaged RAW (LibRaw: {said})",
+        found=f"a damaged RAW (LibRaw: {message})",
         expected="a whole one",
         hint="Copy it from the camera again.",
     )

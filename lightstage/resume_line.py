@@ -1,4 +1,4 @@
-"""Lines to paste into a shell: what goes on with a session, and what follows it."""
+"""Lines to paste into a shell: what resumes a session, and what follows it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LONGEST = 4000
 
 
 def resume_line(session: str | Path, options: Sequence[str] = ()) -> str:
-    """What to type to go on with a session.
+    """What to type to resume a session.
 
     Args:
         session: its folder.
@@ -44,7 +44,7 @@ def retake_line(
 
 
 def calibrate_line(kind: str, rig: Path, lab: Path, options: Sequence[str]) -> str:
-    """What to type to go on with unfinished calibration shots.
+    """What to type to resume unfinished calibration shots.
 
     Args:
         kind: of them.
@@ -72,8 +72,8 @@ def options_of(line: Mapping[str, Any]) -> list[str]:
 
 def known_options(lines: Iterable[Mapping[str, Any]]) -> list[str]:
     """The latest options that any line of a journal has."""
-    told = [options for line in lines if (options := options_of(line))]
-    return told[-1] if told else []
+    known = [options for line in lines if (options := options_of(line))]
+    return known[-1] if known else []
 
 
 def shell_line(*words: str) -> str:

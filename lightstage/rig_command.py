@@ -1,4 +1,4 @@
-"""`lightstage rig check`: a rig read, drawn, and what is odd about it said."""
+"""`lightstage rig check`: a rig read, drawn, and checked for oddities."""
 
 from __future__ import annotations
 
@@ -38,15 +38,22 @@ def check_command(
     ),
     as_json: bool = JsonFlag,
 ) -> None:
-    """Read a rig, refuse what cannot be used, say what is odd, and draw it."""
+    """Read a rig, refuse what cannot be used, warn of what is odd, and draw it."""
     the_rig = load_rig(rig)
     found = rig_oddities(the_rig)
-    channels = [address.channel for address in the_rig.addresses]
+    channels: dict[str, list[int]] = {}
+    for address in the_rig.addresses:
+        channels.setdefault(address.controller, []).append(address.channel)
     if out is not None:
         write_png(out, draw_rig(the_rig))
     for finding in found:
         print(f"warning: {finding}", file=sys.stderr)
-    wired = f" on channels {min(channels)} to {max(channels)}" if the_rig.addressed else ""
+    ranges = {name: [min(each), max(each)] for name, each in channels.items()}
+    wires = [
+        f"channels {low} to {high}{f' of {name}' if len(ranges) > 1 else ''}"
+        for name, (low, high) in ranges.items()
+    ]
+    wired = f" on {', '.join(wires)}" if the_rig.addressed else ""
     drawn = "" if out is None else f", drawn in {out}"
     odd = counted(len(found), "odd thing") if found else "nothing odd"
     finish(
@@ -57,7 +64,7 @@ def check_command(
             "lights": len(the_rig.lights),
             "cameras": len(the_rig.cameras),
             "addressed": the_rig.addressed,
-            "channels": [min(channels), max(channels)],
+            "channels": ranges,
             "odd": [dataclasses.asdict(finding) for finding in found],
             "picture": None if out is None else str(out),
         },

@@ -21,10 +21,10 @@ GAIN_RATIO = 3.0
 """Gains this far from the median's are odd."""
 BANK_SHARE = 0.1
 CENTRE_SHARE = 0.15
-"""Of the picture's side: how far the principal point may lie from the middle."""
+"""Of the picture's side: how far the principal point may be from the middle."""
 FOCAL_RATIO = 1.02
 FRONT_DEG = 60.0
-"""Some camera stands within this angle of +z, which is before the face."""
+"""Some camera is within this angle of +z, which is before the face."""
 NAMED = 5
 
 
@@ -129,18 +129,7 @@ def _of_lights(rig: Rig) -> list[Finding]:
                 "lights",
                 f"most of them toward {side}",
                 "lights all around the face",
-                "Gradients then tell little of surfaces that look away from them.",
-            )
-        )
-    controllers = list(dict.fromkeys(each.controller for each in rig.addresses))
-    if len(controllers) > 1:
-        found.append(
-            _warn(
-                "controllers",
-                "lights, address",
-                f"{len(controllers)} controllers, {', '.join(controllers[:NAMED])}",
-                "one, as --leds opens one device",
-                "Such a rig serves photographs from elsewhere; no capture can light it.",
+                "Gradients then show little of surfaces that face away from them.",
             )
         )
     found += _of_banks(rig)
@@ -176,8 +165,8 @@ def _of_banks(rig: Rig) -> list[Finding]:
     uneven = abs(banks["horizontal"] - banks["vertical"]) > BANK_SHARE * total
     if not uneven and not banks[None]:
         return []
-    told = ", ".join(f"{n} {bank or 'without'}" for bank, n in banks.most_common())
-    return [_warn("bank", "lights, bank", told, "as many horizontal as vertical, or none")]
+    counts = ", ".join(f"{n} {bank or 'without'}" for bank, n in banks.most_common())
+    return [_warn("bank", "lights, bank", counts, "as many horizontal as vertical, or none")]
 
 
 def _of_cameras(rig: Rig) -> list[Finding]:
@@ -246,7 +235,7 @@ def _of_camera(camera: Camera, centre: np.ndarray, radius: float) -> list[Findin
             _warn(
                 "roll",
                 where,
-                "a picture that stands on its head",
+                "a picture that is upside down",
                 "+y of the world up in it",
                 "OpenCV's y points down.",
             )

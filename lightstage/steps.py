@@ -1,8 +1,8 @@
 """Named steps of a photograph's life, where a test may stop a real process and kill it.
 
-``LIGHTSTAGE_STOP_FILE`` names a file of one line, ``STEP PATTERN CAMERA`` (``*`` stands for any).
+``LIGHTSTAGE_STOP_FILE`` names a file of one line, ``STEP PATTERN CAMERA`` (``*`` is any).
 The first process that comes to that step removes the file and stops (SIGSTOP), as if its machine
-stood still; whoever wrote the file may look, and continue or kill it. Without the variable a step
+hung; whoever wrote the file may inspect, and continue or kill it. Without the variable a step
 does nothing.
 """
 
@@ -41,13 +41,13 @@ STEPS = (
     "manifest-written",
     "ended",
 )
-"""Steps in their order, as docs/capture.md tells them."""
+"""Steps in their order, as docs/capture.md has them."""
 
 _FILE = os.environ.get("LIGHTSTAGE_STOP_FILE")
 
 
 def step(name: str, pattern: str = "*", camera: str = "*") -> None:
-    """Say that a step is done; stops the process where a test waits for it.
+    """Mark a step as done; stops the process where a test waits for it.
 
     Args:
         name: of STEPS; at its end, unless it ends in -ing or is called half.
@@ -69,5 +69,5 @@ def step(name: str, pattern: str = "*", camera: str = "*") -> None:
         path.unlink()  # only one process or thread gets it
     except FileNotFoundError:
         return
-    # To this thread: sent to the process, another thread may take it while this one goes on.
+    # To this thread: sent to the process, another thread may take it while this one continues.
     signal.pthread_kill(threading.get_ident(), signal.SIGSTOP)

@@ -1,4 +1,4 @@
-"""Directories of a TIFF-like file, read where they lie: headers only, never the picture.
+"""Directories of a TIFF-like file, read in place: headers only, never the picture.
 
 Damaged offsets lead nowhere: what cannot be read is left out, and the count of directories, of
 entries and of bytes read is limited, so that no file makes a reader slow.
@@ -37,7 +37,7 @@ class Directory:
 
     Attributes:
         kind: ``picture`` (the chain from the header, and SubIFDs), ``exif`` or ``gps``.
-        tags: number to what stands there.
+        tags: number to its value.
         places: number to the byte of the file at which its value begins.
     """
 
@@ -65,7 +65,7 @@ class Reader:
 
     Args:
         file: seekable.
-        base: where the TIFF header stands in it.
+        base: the TIFF header's place in it.
     """
 
     def __init__(self, file: BinaryIO, base: int = 0) -> None:
@@ -148,12 +148,12 @@ def directory_at(reader: Reader, place: int, order: str, kind: str) -> tuple[Dir
         inline = place + 2 + 12 * index + 8
         size = _size(type_) * length
         if size == 0 or size > MAX_VALUE_BYTES:
-            # Long tables (strip offsets) and unknown types say nothing that is looked for.
+            # Long tables (strip offsets) and unknown types hold nothing that is needed.
             continue
         where = inline
         if size > 4:
             (where,) = struct.unpack_from(order + "I", table, 12 * index + 8)
-        # Inline values lie in the table that was read.
+        # Inline values are in the table that was read.
         data = table[12 * index + 8 :][:size] if size <= 4 else reader.bytes_at(where, size)
         if len(data) == size:
             tags[tag] = _value(type_, length, data, order)

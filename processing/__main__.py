@@ -116,10 +116,10 @@ def separate(
     _process(session, out, template, config, None, as_json, only="separate", force=force)
 
 
-def _add_stage(stage: str, said: str) -> None:
+def _add_stage(stage: str, help_text: str) -> None:
     """Add the command that runs one stage on what the earlier ones left in OUT."""
 
-    @app.command(stage, help=said)
+    @app.command(stage, help=help_text)
     def command(
         session: Path = SessionPath,
         out: Path = OutPath,
@@ -174,10 +174,10 @@ def _process(
             print(f"warning: {warning}", file=sys.stderr)
     seconds = sum(report["stages"][stage]["seconds"] for stage in ran)
     peak = max((report["stages"][stage]["peak_rss_mb"] for stage in ran), default=0.0)
-    said = f"ran {' '.join(ran)} in {seconds:.1f} s, peak {peak:.0f} MB" if ran else "up to date"
+    summary = f"ran {' '.join(ran)} in {seconds:.1f} s, peak {peak:.0f} MB" if ran else "up to date"
     warned = f", {counted(len(report['warnings']), 'warning')}" if report["warnings"] else ""
     facts = {"out": str(out), "ran": ran, "stages": report["stages"]}
-    finish(f"{out}: {said}{warned}", {**facts, "warnings": report["warnings"]}, as_json)
+    finish(f"{out}: {summary}{warned}", {**facts, "warnings": report["warnings"]}, as_json)
 
 
 def _why(
@@ -265,8 +265,8 @@ def register_mesh(
         vertices, facts = register_scan(scan, points_mm, shape, settings, progress)
         write_obj(shape.mesh.with_vertices(vertices), out)
     facts = {"scan_unit": unit.name, "notes": notes, **facts}
-    said = "; ".join([*notes, _said(facts)])
-    finish(f"{out}: {said}", {"out": str(out), **facts}, as_json)
+    summary = "; ".join([*notes, _facts_in_words(facts)])
+    finish(f"{out}: {summary}", {"out": str(out), **facts}, as_json)
 
 
 @app.command()
@@ -293,7 +293,7 @@ def evaluate(
         facts = evaluate_folder(
             out, truth, template, EvaluateConfig(albedo=AlbedoOf(albedo)), progress
         )
-    finish(f"{out / 'evaluation.json'}: {_said(headline(facts))}", facts, as_json)
+    finish(f"{out / 'evaluation.json'}: {_facts_in_words(headline(facts))}", facts, as_json)
 
 
 @dataset_app.command()
@@ -327,13 +327,13 @@ def build(
         "subjects_without_consent": unasked,
         "passed_over": [str(path) for path in passed],
     }
-    said = f"{counted(len(scans), 'scan')} of {counted(subjects, 'subject')}"
+    summary = f"{counted(len(scans), 'scan')} of {counted(subjects, 'subject')}"
     if unasked:
-        said += f", {unasked} without a consent record"
+        summary += f", {unasked} without a consent record"
     if passed:
         names = ", ".join(path.name for path in passed)
-        said += f"; passed over {names} of lightstage-sim dataset"
-    finish(f"{out}: {said}", facts, as_json)
+        summary += f"; passed over {names} of lightstage-sim dataset"
+    finish(f"{out}: {summary}", facts, as_json)
 
 
 @dataset_app.command()
@@ -360,7 +360,7 @@ def publish(
     without_consent: bool = typer.Option(
         False,
         "--without-consent",
-        help="Publish people without a consent record, too; the published set says so.",
+        help="Publish people without a consent record, too; the published set states it.",
     ),
     about: Path | None = typer.Option(
         None,
@@ -390,14 +390,14 @@ def publish(
     from processing.dataset import publish as publish_store
 
     require_new(out, overwrite, DATASET, PUBLISHED)
-    asked: dict[str, Any] = {
+    given: dict[str, Any] = {
         "form": form,
         "patch_px": patch,
         "gap": gap,
         "drop": drop,
         "without_consent": without_consent,
     }
-    config = PublishConfig(**{k: v for k, v in asked.items() if v is not None})
+    config = PublishConfig(**{k: v for k, v in given.items() if v is not None})
     if consents is not None and without_consent:
         raise ProcessingError(
             "--without-consent",
@@ -407,34 +407,34 @@ def publish(
         )
     opened = open_store(store, "These patches are published already.")
     require_consents(consents, "publication", opened.consents)
-    said_of_it = read_about(about)
+    about_file = read_about(about)
     with progress_bar("dataset publish") as progress:
-        publish_store(opened, out, seed, config, progress, about=said_of_it)
+        publish_store(opened, out, seed, config, progress, about=about_file)
     narrow = narrow_gap(config.gap)
     if narrow:
         print(f"warning: {narrow}", file=sys.stderr)
     written = read_json(out / DATASET)
     counts, unasked = written["counts"], written["consent"]["subjects_without"]
-    said = counted(counts["patches"], "patch", "patches")
-    said += f" of {counted(counts['subjects'], 'subject')}"
+    summary = counted(counts["patches"], "patch", "patches")
+    summary += f" of {counted(counts['subjects'], 'subject')}"
     if unasked:
-        said += f", {unasked} of them without a consent record"
-    if said_of_it.unanswered:
-        open_ones = counted(len(said_of_it.unanswered), "question")
-        said += f"; {open_ones} of its DATASHEET.md not answered: "
-        said += ", ".join(said_of_it.unanswered)
+        summary += f", {unasked} of them without a consent record"
+    if about_file.unanswered:
+        open_ones = counted(len(about_file.unanswered), "question")
+        summary += f"; {open_ones} of its DATASHEET.md not answered: "
+        summary += ", ".join(about_file.unanswered)
     facts = {
         "out": str(out),
         **counts,
-        "unanswered": said_of_it.unanswered,
+        "unanswered": about_file.unanswered,
         "patch": written["patch"],
         "gap": written["gap"],
     }
     facts |= {"subjects_without_consent": unasked, "warnings": [narrow] if narrow else []}
-    finish(f"{out}: {said}", facts, as_json)
+    finish(f"{out}: {summary}", facts, as_json)
 
 
-def _said(facts: dict[str, Any]) -> str:
+def _facts_in_words(facts: dict[str, Any]) -> str:
     """The plain numbers among facts, on one line."""
     plain = {k: v for k, v in facts.items() if isinstance(v, (int, float, str))}
     return ", ".join(

@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclasses.dataclass(frozen=True)
 class Evidence:
-    """What each pixel says of its specular albedo s: least squares in s alone is weighed / weight.
+    """Each pixel's least squares for its specular albedo s alone: s is weighed / weight.
 
     Attributes:
         weighed: (n,) float64, the lobe's part of the reading times `weight`'s root.
@@ -134,7 +134,9 @@ def pooled(values: np.ndarray, mask: np.ndarray, sigma_px: float) -> np.ndarray:
 def shrunk(
     weighed: np.ndarray, weight: np.ndarray, prior: np.ndarray | float, prior_weight: float
 ) -> np.ndarray:
-    """Specular albedo with a prior: (weighed + w prior) / (weight + w), clipped to 0..0.2.
+    """(n,) specular albedo with a prior: (weighed + w prior) / (weight + w), clipped to 0..0.2.
+
+    `weighed` and `weight` are (n,), as is `prior` where it is no number.
 
     Reflectances above .2 are metals, not faces.
     """

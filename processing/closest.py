@@ -1,4 +1,4 @@
-"""Closest points on a mesh (Embree through Open3D), and what lies at them."""
+"""Closest points on a mesh (Embree through Open3D), and values there."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ class ClosestPoints:
 
     def query(self, points_mm: np.ndarray) -> Closest:
         """The closest surface points to (n, 3) finite points in mm."""
-        asked = np.ascontiguousarray(points_mm, np.float32).reshape(-1, 3)
-        found = self._scene.compute_closest_points(open3d.core.Tensor(asked))
+        queries = np.ascontiguousarray(points_mm, np.float32).reshape(-1, 3)
+        found = self._scene.compute_closest_points(open3d.core.Tensor(queries))
         point = found["points"].numpy()
         uv = found["primitive_uvs"].numpy()
         return Closest(
             point,
-            np.linalg.norm(point - asked, axis=1),
+            np.linalg.norm(point - queries, axis=1),
             found["primitive_ids"].numpy().astype(np.int32),
             np.stack([1 - uv[:, 0] - uv[:, 1], uv[:, 0], uv[:, 1]], axis=1),
         )
 
 
 def sample_texture(image: np.ndarray, covered: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Bilinear texture look-up that takes nothing from texels that hold no surface.
+    """Bilinear texture lookup that takes nothing from texels that hold no surface.
 
     Args:
         image: (rows, columns, c) float; row 0 is the top, v upward.

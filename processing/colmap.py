@@ -1,4 +1,4 @@
-"""pycolmap, imported so that signals go on to end a command as `lightstage.interrupts` says.
+"""pycolmap, imported so that signals still end a command as `lightstage.interrupts` has it.
 
 At its import glog puts a handler of its own onto SIGTERM, beneath Python's: the process would end
 at once with a stack trace of C++, and no `finally` would run.

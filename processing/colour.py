@@ -127,7 +127,7 @@ def _correction(entry: Mapping[str, Any]) -> ColourCorrection:
 
 
 def srgb_from_linear(rgb_linear: np.ndarray) -> np.ndarray:
-    """Encode for looking: IEC 61966-2-1, clipped to 0..1. Any shape.
+    """Display values (...) of (...) linear ones: IEC 61966-2-1, clipped to 0..1.
 
     Source: [IEC61966].
     """

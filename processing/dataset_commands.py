@@ -47,11 +47,11 @@ def add_command(
                 problems.append(error)
             progress(index + 1, len(folders))
     facts = {**_facts(store), "added": added, "passed_over": [str(path) for path in passed]}
-    said = f"{store}: {counted(len(added), 'scan')} added, {_said(facts)}"
+    summary = f"{store}: {counted(len(added), 'scan')} added, {_store_counts(facts)}"
     if problems:
-        print(said)
+        print(summary)
         raise one_error(problems)
-    finish(said, facts, as_json)
+    finish(summary, facts, as_json)
 
 
 def remove_command(
@@ -85,7 +85,11 @@ def remove_command(
     with limited_access(group_of([store])):
         gone = remove_scans(store, names)
     facts = {**_facts(store), "removed": [entry.folder for entry in gone]}
-    finish(f"{store}: {counted(len(gone), 'scan')} removed, {_said(facts)} left", facts, as_json)
+    finish(
+        f"{store}: {counted(len(gone), 'scan')} removed, {_store_counts(facts)} left",
+        facts,
+        as_json,
+    )
 
 
 def list_command(store: Path = StoreArgument, as_json: bool = JsonFlag) -> None:
@@ -109,7 +113,9 @@ def list_command(store: Path = StoreArgument, as_json: bool = JsonFlag) -> None:
             }
         )
     facts = _facts(store)
-    finish("\n".join([*lines, f"{store}: {_said(facts)}"]), {**facts, "list": rows}, as_json)
+    finish(
+        "\n".join([*lines, f"{store}: {_store_counts(facts)}"]), {**facts, "list": rows}, as_json
+    )
 
 
 def verify_command(store: Path = StoreArgument, as_json: bool = JsonFlag) -> None:
@@ -120,18 +126,18 @@ def verify_command(store: Path = StoreArgument, as_json: bool = JsonFlag) -> Non
     with progress_bar("dataset verify") as progress:
         files, left = verify_store(store, progress)
     facts = {**_facts(store), "files": files, "left_by_killed_processes": left}
-    said = f"{store}: {_said(facts)}, {counted(files, 'file')} as they were written"
+    summary = f"{store}: {_store_counts(facts)}, {counted(files, 'file')} as they were written"
     if left:
-        said += (
+        summary += (
             f"; {', '.join(left[:5])} in it are of no scan: a process that wrote them was killed"
         )
-    finish(said, facts, as_json)
+    finish(summary, facts, as_json)
 
 
 def forget_command(
     subject: str = typer.Argument(..., help="The person's pseudonym.", show_default=False),
     folders: list[Path] = typer.Option(
-        ..., "--in", help="Folder to look in, with all below it; may be repeated."
+        ..., "--in", help="Folder to search, with all below it; may be repeated."
     ),
     out: Path = output_folder("--out", help="Folder of the lab for the plan and the proof."),
     yes: bool = typer.Option(False, "--yes", help="Remove it; otherwise it is only listed."),
@@ -146,13 +152,15 @@ def forget_command(
         with progress_bar("dataset forget") as progress:
             found = forgetting.survey(subject, folders, False, progress)
         forgetting.require_somebody(subject, folders, found)
-        text = "\n".join([*forgetting.said_of(found), "Nothing was removed; --yes removes it."])
+        text = "\n".join(
+            [*forgetting.found_in_words(found), "Nothing was removed; --yes removes it."]
+        )
         finish(text, {"removed": False, **dataclasses.asdict(found)}, as_json)
         return
     with limited_access("nothing"), progress_bar("dataset forget") as progress:
         found, left, proof = forgetting.forget(subject, folders, out, progress)
     facts = {"removed": True, "proof": str(proof), "left": left, **dataclasses.asdict(found)}
-    lines = forgetting.said_of(found)
+    lines = forgetting.found_in_words(found)
     still = [
         f"still there: {path}"
         for path in sorted({path for paths in left.values() for path in paths})
@@ -163,7 +171,7 @@ def forget_command(
             proof,
             found=f"{counted(len(still), 'file')} that still show or name {subject}",
             expected="none",
-            hint="Look at each that is listed as still there, and remove it or its line by hand.",
+            hint="Inspect each that is listed as still there, and remove it or its line by hand.",
         )
 
 
@@ -178,5 +186,5 @@ def _facts(store: Path) -> dict[str, Any]:
     }
 
 
-def _said(facts: dict[str, Any]) -> str:
+def _store_counts(facts: dict[str, Any]) -> str:
     return f"{counted(facts['scans'], 'scan')} of {counted(facts['subjects'], 'subject')}"

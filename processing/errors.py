@@ -18,8 +18,12 @@ class AtlasError(ProcessingError):
 
 
 class PoseError(ProcessingError):
-    """A camera that does not stand where the rig says."""
+    """A camera that is not where the rig has it."""
 
 
 class ReconstructionError(ProcessingError):
     """Photographs that give no surface."""
+
+
+class EvaluationError(ProcessingError):
+    """Result and truth that have nothing to compare."""

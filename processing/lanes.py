@@ -2,8 +2,8 @@
 
 Numba leaves it to the compiler to find vectors, which it does over long arrays and not over a
 pixel's seven patterns. `Lanes` inside an njit function knows + - * /, roots, sums and the largest;
-in its lanes lie the patterns of a pixel, or eight pixels. Half floats are turned by the processor's
-own conversion.
+its lanes hold the patterns of a pixel, or eight pixels. Half floats are converted by the
+processor's own conversion.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from processing.frames.window import Window
 
 
 def foreground(brightest: np.ndarray, share: float, picture_share: float = 1.0) -> np.ndarray:
-    """What stands before the dark background: the largest bright region, its holes filled.
+    """What is in front of the dark background: the largest bright region, its holes filled.
 
     Args:
         brightest: (h, w) the largest value of a pixel over patterns and channels.

@@ -1,4 +1,4 @@
-"""OUT/report.html: what a processed session's maps look like, and what each stage said."""
+"""OUT/report.html: a processed session's maps, and the facts of each stage."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CAPTIONS = {
     "specular_albedo": f"Specular albedo; {SPECULAR_WHITE} shows as white, skin is near 0.028.",
     "diffuse_normal": "Diffuse normals in world axes: red, green, blue are right, up, front.",
     "specular_normal": "Specular normals: the surface itself, with its finest relief; diffuse ones "
-    "look softer. The table of stages tells what they are taken from.",
+    "look softer. The table of stages names what they are taken from.",
     "roughness": f"Roughness of the mirror lobe (Beckmann's m); {ROUGHNESS_WHITE} shows as white "
     "and half of it as mid grey, skin has .2 to .35, less is shinier. It should change slowly.",
     "ambient_occlusion": "Ambient occlusion, 1 is open. Folds should be darker.",
@@ -44,7 +44,7 @@ CAPTIONS = {
     "much from the side; an even grey has no mesh, and keeps the coarse maps. Dark dots all over "
     "the skin are single pixels whose readings agree less than others', by noise or at a hair, a "
     "mole or a pore; the atlas takes such places from other views. Bad would be dark patches on "
-    "skin that the camera looks at, or a view that is dark all over: wrong pattern, room light or "
+    "skin that the camera faces, or a view that is dark all over: wrong pattern, room light or "
     "motion.",
 }
 ATLAS_CAPTIONS = CAPTIONS | {
@@ -99,7 +99,7 @@ def lacks_head(out: Path) -> bool:
 
 
 def show(name: str, image: np.ndarray) -> np.ndarray:
-    """A map as an 8-bit picture for looking."""
+    """A (h, w[, 3]) map as an 8-bit picture to be inspected."""
     if name.endswith("_normal"):
         return display_normals(image)
     if name == "roughness":
@@ -131,11 +131,17 @@ def _stages(report: Mapping[str, Any]) -> list[str | Picture | Table]:
             for key, value in facts.items()
             if isinstance(value, (int, float, str)) and key not in ("seconds", "peak_rss_mb")
         }
-        said = ", ".join(f"{key} {_short(value)}" for key, value in plain.items())
-        rows.append((name, f"{facts['seconds']:.1f}", f"{facts['peak_rss_mb']:.0f}", said))
+        facts_in_words = ", ".join(f"{key} {_short(value)}" for key, value in plain.items())
+        rows.append(
+            (name, f"{facts['seconds']:.1f}", f"{facts['peak_rss_mb']:.0f}", facts_in_words)
+        )
     table = Table(("stage", "seconds", "peak memory, MB", "facts, units in their names"), rows)
     versions = Table(("what", "version"), list(report.get("versions", {}).items()))
-    return [*(f"Warning: {said}" for said in report.get("warnings", [])), table, versions]
+    return [
+        *(f"Warning: {facts_in_words}" for facts_in_words in report.get("warnings", [])),
+        table,
+        versions,
+    ]
 
 
 def _short(value: float | int | str) -> str:

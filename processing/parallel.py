@@ -67,13 +67,13 @@ def over_views(work: Callable[[K], T], views: Sequence[K], at_once: int) -> Iter
 
 
 class Behind:
-    """Work done while its giver goes on, in the order given; a with block ends when all is done.
+    """Work done while its giver continues, in the order given; a with block ends when all is done.
 
     An error of it is raised by a later `do`, or at the end; what has not begun then is left out.
     """
 
     def __init__(self, most: int) -> None:
-        """At most so many at once, the giver waits where more are asked for."""
+        """At most so many at once, the giver waits where there are more."""
         self._most = most
         self._pool = ThreadPoolExecutor(most)
         self._waiting: list[Future[object]] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import dataclasses
 import functools
 from collections.abc import Callable, Iterator
@@ -20,7 +21,6 @@ from processing.atlas.stage import AtlasConfig, atlas
 from processing.decode.completing import unmendable_frames, with_complements
 from processing.decode.stage import DecodeConfig, decode, lit_patterns
 from processing.errors import ProcessingError
-from processing.memory import give_back
 from processing.pages import lacks_head, write_processed_report
 from processing.reconstruction.given import require_given
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
@@ -42,7 +42,7 @@ from processing.records import (
 from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
 from processing.registration.stage import RegisterConfig, register, require_landmarks
-from processing.separation.choice import no_normals, tell_normals
+from processing.separation.choice import give_normals, no_normals
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
 from processing.stage_inputs import STAGE_MODULES, StageInputs, stage_inputs, why_stale
@@ -87,7 +87,7 @@ class Job:
     template: Template | None
     template_hash: str
     normals: bool = True
-    """Whether the photographs tell normals."""
+    """Whether the photographs determine normals."""
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -96,7 +96,7 @@ class Job:
 
     @property
     def made_from(self) -> MadeFrom:
-        """What the folder's records say of the session."""
+        """The session as the folder's records have it."""
         return MadeFrom(self.session.file.id, self.session.file.subject)
 
 
@@ -228,7 +228,7 @@ def read_job(
         raise one_error(problems)
     require_own(out)
     patterns = lit_patterns(session)
-    normals = last == STAGES[0] or not patterns or tell_normals(session, patterns)
+    normals = last == STAGES[0] or not patterns or give_normals(session, patterns)
     if last in WITH_NORMALS and not normals:
         raise no_normals(patterns)
     if not (template_path / "template.json").is_file():
@@ -240,14 +240,14 @@ def read_job(
     if STAGES.index(last) >= STAGES.index(WITH_TEMPLATE[0]):
         template_hash = hash_folder(template_path)
         template = _template(template_path, template_hash)
-        # Registration needs them an hour later at full size: said now.
+        # Registration needs them an hour later at full size: reported now.
         require_landmarks(session, config.register)
     return Job(session, out, config, template, template_hash, normals)
 
 
 @functools.lru_cache(maxsize=1)
 def _template(path: Path, content: str) -> Template:
-    """A template that was read once; `content`, the hash of its files, tells whether it changed."""
+    """A template that was read once; `content`, the hash of its files, shows whether it changed."""
     del content
     return load_template(path)
 
@@ -304,7 +304,7 @@ class BusyError(ProcessingError):
 
 
 def busy(out: Path) -> BusyError:
-    """What is said of a folder that another process holds."""
+    """The message about a folder that another process holds."""
     return BusyError(
         out,
         field="--out",
@@ -384,7 +384,7 @@ def _run_stage(
 ) -> dict[str, Record]:
     """Run one stage and record it; it and all after it count as not done while it runs."""
     kept = {name: records[name] for name in STAGES[: STAGES.index(stage)] if name in records}
-    # Before the stage's first file: a folder says whose it is however early the stage ends.
+    # Before the stage's first file: a folder names its session however early the stage ends.
     write_records(job.out, job.made_from, kept)
     before = files_in(job.out)
     facts: dict[str, Any] = {}
@@ -418,7 +418,9 @@ def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:
     """Write OUT/report.json from the finished stages; returns its content."""
     stages = {name: dict(records[name].facts) for name in STAGES if name in records}
     warnings = [
-        f"{name}: {said}" for name, facts in stages.items() for said in facts.pop("warnings", [])
+        f"{name}: {warning}"
+        for name, facts in stages.items()
+        for warning in facts.pop("warnings", [])
     ]
     report = {
         "schema": REPORT_SCHEMA,
@@ -433,3 +435,12 @@ def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:
     }
     write_json(job.out / "report.json", report)
     return report
+
+
+def give_back() -> None:
+    """Hand back what was freed: glibc keeps it for the thread that had it, gigabytes after a stage.
+
+    Elsewhere than on glibc nothing is done.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)

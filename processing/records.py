@@ -27,7 +27,7 @@ MADE_FIRST = ("work", "views", "stages.json")
 RUN_LOCK = "run.lock"
 """Held while stages run, so that two runs do not share a folder."""
 REPORTED = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d", "pycolmap")
-CODE = ("processing", "lightstage/formats", "lightstage/rig.py", "lightstage/patterns/names.py")
+CODE = ("processing", "lightstage/formats", "lightstage/rig", "lightstage/patterns/names.py")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +53,7 @@ class MadeFrom:
     """The session that a processed folder was made from.
 
     Attributes:
-        session: the session's id; None where only a report tells, and has none.
+        session: the session's id; None where only a report names it, and has none.
         subject: the person's pseudonym.
     """
 
@@ -90,7 +90,7 @@ def require_same_session(out: Path, given: MadeFrom) -> None:
     """Refuse a folder that was made from another session: one person's maps, another's consent.
 
     Raises:
-        ProcessingError: stages.json, or report.json where that one does not tell, is of another.
+        ProcessingError: stages.json, or report.json where that one does not name it, is of another.
         FormatError: a file that cannot be read.
     """
     found = read_made_from(out) or _reported(out)
@@ -134,7 +134,7 @@ def _reported(out: Path) -> MadeFrom | None:
 def read_records(out: Path) -> dict[str, Record]:
     """Finished stages by name, in the order they ran; empty where there is no stages.json.
 
-    Also empty where it does not say of which session its stages are: they may be of two.
+    Also empty where it does not name the session of its stages: they may be of two.
     """
     path = out / "stages.json"
     if not path.exists():

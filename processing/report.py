@@ -39,7 +39,7 @@ class Picture:
 
     Attributes:
         image: (h, w) or (h, w, 3) uint8, sRGB.
-        caption: what it shows and what it should look like.
+        caption: what it shows and how it should be.
         alt: a few words in its place.
         lossless: PNG instead of JPEG (drawings, small thumbnails).
     """
@@ -81,7 +81,7 @@ class Table:
 
 @dataclasses.dataclass(frozen=True)
 class Section:
-    """A heading and what stands under it: paragraphs (str), links, pictures, tables, in order."""
+    """A heading and what is under it: paragraphs (str), links, pictures, tables, in order."""
 
     title: str
     parts: Sequence[str | Link | Picture | Table]
@@ -154,7 +154,7 @@ def display_error(error: np.ndarray, largest: float, mask: np.ndarray | None = N
 
     Args:
         error: (h, w), not negative.
-        largest: what the brightest colour stands for.
+        largest: the value of the brightest colour.
         mask: (h, w) bool, where to show it; black elsewhere.
 
     Returns:
@@ -169,7 +169,7 @@ def display_error(error: np.ndarray, largest: float, mask: np.ndarray | None = N
 
 
 def resize(image: np.ndarray, height: int) -> np.ndarray:
-    """A uint8 picture at another height, aspect kept."""
+    """A (h, w[, 3]) uint8 picture at another height, aspect kept."""
     width = max(1, round(image.shape[1] * height / image.shape[0]))
     how = cv2.INTER_AREA if height < image.shape[0] else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(image, (width, height), interpolation=how))
@@ -187,7 +187,7 @@ def side_by_side(images: Sequence[np.ndarray], height: int, gap: int = 6) -> np.
 
 
 def encode(image: np.ndarray, *, lossless: bool = False, quality: int = 85) -> bytes:
-    """A uint8 sRGB picture as JPEG, or as PNG where `lossless`."""
+    """A (h, w[, 3]) uint8 sRGB picture as JPEG, or as PNG where `lossless`."""
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.size == 0:
         raise ProcessingError(
             "picture", found=f"{image.dtype} {image.shape}", expected="uint8 (h, w) or (h, w, 3)"

@@ -62,7 +62,7 @@ def coloured_sides(mesh: Mesh, values: np.ndarray, largest: float, side_px: int)
     Args:
         mesh: mm, its face looking along +z.
         values: (v,) of its vertices, not negative; NaN is drawn grey.
-        largest: what the brightest colour stands for.
+        largest: the value of the brightest colour.
         side_px: rows.
     """
     known = np.isfinite(values)

@@ -17,7 +17,7 @@ def split(triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         (4 t, 3) triangles: at the first, second and third corner, and the one between; and (m, 2)
-        the vertices in whose middle the new vertices count, count + 1 .. lie.
+        the vertices whose middles the new vertices count, count + 1 .. are.
     """
     ends = directed_edges(triangles)
     keys, index = np.unique(ends.min(axis=1) * count + ends.max(axis=1), return_inverse=True)
@@ -29,7 +29,12 @@ def split(triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def in_part(face: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which part of a split triangle a place lies in, and its barycentric weights there."""
+    """Of n places on split triangles, the (n,) parts that they are in and (n, 3) weights there.
+
+    Args:
+        face: (n,) triangles before the split.
+        weights: (n, 3) barycentric, in these.
+    """
     largest = weights.argmax(axis=1)
     corner = np.take_along_axis(weights, largest[:, None], axis=1)[:, 0] >= 0.5
     inner = 1 - 2 * weights[:, [2, 0, 1]]

@@ -43,7 +43,7 @@ class StageInputs:
 
     Attributes:
         parts: name, one of `REASONS`, to a hash.
-        key: hash of the parts and of the key of the stage before, which stands for all that was
+        key: hash of the parts and of the key of the stage before, which covers all that was
             written before.
     """
 
@@ -121,7 +121,7 @@ def _files(session: Session, stage: str, config: Any) -> list[str | None]:
         files = [session.root / "session.json", session.root / "rig.json"]
         named = session.file.calibration.model_dump().values()
         for path in [session.root / name for name in named if isinstance(name, str)]:
-            # Gains of single pixels lie beside the flats that name them.
+            # Gains of single pixels are beside the flats that name them.
             files += [path, *sorted(path.parent.glob(f"{path.stem}-*.npz"))]
         return [sha256_file(path) for path in [*files, *_meshes(config.mesh)]]
     if stage == "reconstruct":

@@ -15,6 +15,7 @@ from lightstage.rig import Camera
 from processing.lighting.lights import PatternLights, Shadows
 from processing.rays import MeshRays
 from processing.splitting import in_part, split, thinned
+from processing.vectors import unit
 
 MOST_ROUNDS = 100
 MOST_SPLITS = 4
@@ -33,14 +34,14 @@ SECOND_DIFFERENCES = tuple(
 )  # fmt: skip
 """Of depth: along rows, columns and both diagonals."""
 SKY_MM = 1e5
-"""Distance of the directions that ambient occlusion asks for: far beyond the stage."""
+"""Length of the rays of ambient occlusion: far beyond the stage."""
 
 
 @dataclasses.dataclass(frozen=True)
 class LitSurface:
     """A mesh, split finely enough to hold the edges of shadows, and what its V vertices receive.
 
-    The first `coarse` vertices are the mesh's own; the others lie halfway along its edges.
+    The first `coarse` vertices are the mesh's own; the others are halfway along its edges.
 
     Attributes:
         vertices: (V, 3) mm.
@@ -51,11 +52,11 @@ class LitSurface:
         splits: how often triangles were split in four.
         rays: the mesh, ready for ray queries.
         visible: (V, L) uint8, lights that each vertex sees; of the vertices that split an edge only
-            those that some camera sees were asked.
+            those that some camera sees were tested.
         occlusion: (V,) 1 = open sky, cosine-weighted.
         average: (V, V) sparse, one round of averaging over neighbours.
         edge_mm: mean length of the split mesh's edges.
-        halfway: (m, 2) for each split, between which vertices the new ones lie.
+        halfway: (m, 2) for each split, between which vertices the new ones are.
     """
 
     vertices: np.ndarray
@@ -132,7 +133,7 @@ def lit_surface(
         directions: of the sky, spread evenly over the sphere.
         most_faces: a mesh of more triangles is thinned to as many.
         finest_mm: triangles are split until their edges are about so long.
-        seen_by: cameras and their (h, w) bool foregrounds; None asks for every vertex.
+        seen_by: cameras and their (h, w) bool foregrounds; None takes every vertex.
         occluders: what else hides lights and sky.
         progress: counts rays' vertices.
     """
@@ -143,7 +144,7 @@ def lit_surface(
     for _ in range(averaging_rounds(smoothing_mm, edge_mm)):
         normals = average @ normals
     rays = MeshRays(vertices, triangles, occluders)
-    normals = _unit(normals)
+    normals = unit(normals, 1e-9)
     sky = fibonacci_sphere(directions)
     open_sky = rays.visible(vertices, normals, sky * SKY_MM, offset_mm=offset_mm)
     cosine = np.maximum(normals.astype(np.float32) @ sky.T.astype(np.float32), 0)
@@ -163,13 +164,17 @@ def lit_surface(
             np.concatenate([values, (values[edges[:, 0]] + values[edges[:, 1]]) / 2])
             for values in (vertices, normals, occlusion)
         )
-    normals = _unit(normals)
-    asked = np.zeros(len(vertices), bool)
-    asked[:coarse] = True
-    asked[triangles[np.repeat(seen_faces, 4**splits)].ravel()] = True
+    normals = unit(normals, 1e-9)
+    needed = np.zeros(len(vertices), bool)
+    needed[:coarse] = True
+    needed[triangles[np.repeat(seen_faces, 4**splits)].ravel()] = True
     seen = np.zeros((len(vertices), len(lights.position_mm)), np.uint8)
-    seen[asked] = rays.visible(
-        vertices[asked], normals[asked], lights.position_mm, offset_mm=offset_mm, progress=progress
+    seen[needed] = rays.visible(
+        vertices[needed],
+        normals[needed],
+        lights.position_mm,
+        offset_mm=offset_mm,
+        progress=progress,
     )
     return LitSurface(
         vertices=vertices,
@@ -253,7 +258,7 @@ def depth_of(
 def _see_pixels(
     surface: LitSurface, camera: Camera, rows: np.ndarray, columns: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """What `see` says of pixels that are few enough for their rays to be held at once."""
+    """The result of `see` for pixels that are few enough for their rays to be held at once."""
     hits, directions = surface.rays.cast_pixels(camera, rows, columns)
     found = hits.face >= 0
     distance_mm, directions = hits.distance_mm[found], directions[found]
@@ -341,11 +346,6 @@ def _edge_mm(vertices: np.ndarray, triangles: np.ndarray) -> float:
     return float(
         np.linalg.norm(vertices[triangles[:, 0]] - vertices[triangles[:, 1]], axis=1).mean()
     )
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-9)
 
 
 def _average(triangles: np.ndarray, count: int) -> sparse.csr_array:

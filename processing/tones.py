@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from processing.calibration.colour.difference import lab_from_linear
+from processing.colour_difference import lab_from_linear
 
 ITA_BOUNDS_DEG = (55.0, 41.0, 28.0, 10.0, -30.0)
 """Least angle of the groups from very light to brown; below is dark."""

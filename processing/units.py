@@ -14,7 +14,7 @@ class Unit(NamedTuple):
     """A unit of length.
 
     Attributes:
-        name: as a message says it.
+        name: as a message has it.
         mm: so many mm are one.
     """
 

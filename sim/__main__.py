@@ -154,7 +154,7 @@ def session(
 def dataset(
     out: Path = output_folder("--out", help="Folder for all of them."),
     subjects: int | None = typer.Option(
-        None, min=1, help="How many people; as many as the table says where absent."
+        None, min=1, help="How many people; as many as the table has where absent."
     ),
     expressions: int = typer.Option(7, min=1, max=7, help="Of each; the first one is neutral."),
     seed: int = typer.Option(0, min=0, help="The same seed gives the same files to the byte."),
@@ -168,7 +168,7 @@ def dataset(
     ),
     as_json: bool = JsonFlag,
 ) -> None:
-    """Make many parametric people, as maps or as sessions; go on where a run stopped."""
+    """Make many parametric people, as maps or as sessions; continue where a run stopped."""
     from sim.people.dataset import make_plan, write_people, write_sessions
     from sim.people.table import load_table
 
@@ -234,7 +234,7 @@ def render(
     config = RelightConfig(lights=lights, rotate_deg=rotate)
     stage = default_rig() if rig is None else load_rig(rig)
     stage = stage.scaled(width / stage.camera(camera).width_px)
-    require_light(light, stage)  # an unknown one is told before a person is made
+    require_light(light, stage)  # an unknown one is refused before a person is made
     person = load_subject(subject, seed, expression)
     with progress_bar("lights") as progress:
         picture = portrait(

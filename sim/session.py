@@ -42,17 +42,17 @@ class SessionConfig:
 
 
 def truth_path(session: Path) -> Path:
-    """Where a simulated session's truth lies."""
+    """The folder of a simulated session's truth."""
     return session.with_name(session.name + ".truth")
 
 
 def flaws_path(session: Path) -> Path:
-    """Where the record of what was done to the light lies, in the session's truth."""
+    """The record of what was done to the light, in the session's truth."""
     return truth_path(session) / "flaws.json"
 
 
 def faults_path(session: Path) -> Path:
-    """Where it is told what went wrong with the devices, in the session's truth."""
+    """The log of what went wrong with the devices, in the session's truth."""
     return truth_path(session) / "faults.jsonl"
 
 

@@ -84,7 +84,7 @@ def write_atlas(
         subject: the person.
         occlusion: (n,) ambient occlusion of the mesh's vertices.
         folder: where to.
-        traits: whose sex and age the report says; None where nobody knows them.
+        traits: whose sex and age the report has; None where nobody knows them.
     """
     mesh = subject.mesh
     rows, columns = subject.diffuse_albedo.shape[:2]

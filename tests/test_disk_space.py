@@ -21,8 +21,8 @@ def ask(
     tools.mkdir(exist_ok=True)
     cases = "".join(f"{place}) echo {mb} ;; " for place, mb in free_mb.items())
     stand_in = tools / "df"
-    told = f'for last; do :; done\ncase "$last" in {cases}esac\n'
-    stand_in.write_text(f"#!/bin/sh\necho Avail\n{told}")
+    stated = f'for last; do :; done\ncase "$last" in {cases}esac\n'
+    stand_in.write_text(f"#!/bin/sh\necho Avail\n{stated}")
     stand_in.chmod(0o755)
     environment = os.environ | {
         "PATH": f"{tools}:{os.environ['PATH']}",
@@ -35,9 +35,9 @@ def ask(
 
 def needed_mb(tmp_path: Path) -> int:
     """What the environment and its packages need on one disk, to 100 MB."""
-    told = ask(tmp_path, {str(tmp_path): 10**6}, tmp_path).stdout
-    found = re.search(r"([0-9.]+) GB needed", told)
-    assert found is not None, told
+    message = ask(tmp_path, {str(tmp_path): 10**6}, tmp_path).stdout
+    found = re.search(r"([0-9.]+) GB needed", message)
+    assert found is not None, message
     return round(1000 * float(found[1]))
 
 
@@ -71,17 +71,17 @@ def test_each_disk_is_asked_for_its_own_share(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "more"),
+    ("given", "more"),
     [
         ('{"requires_dist": ["filelock", "nvidia-cublas==13.1"]}', True),
         ('{"requires_dist": ["filelock"], "description": "on nvidia-smi\'s cards"}', False),
     ],
 )
-def test_a_torch_that_brings_cuda_needs_more(tmp_path: Path, told: str, more: bool) -> None:
+def test_a_torch_that_brings_cuda_needs_more(tmp_path: Path, given: str, more: bool) -> None:
     usual_mb = needed_mb(tmp_path)
     python = tmp_path / ".venv" / "bin" / "python"
     python.parent.mkdir(parents=True)
-    python.write_text(f"#!/bin/sh\ncat <<'END'\n{told}\nEND\n")
+    python.write_text(f"#!/bin/sh\ncat <<'END'\n{given}\nEND\n")
     python.chmod(0o755)
     assert (needed_mb(tmp_path) > usual_mb + 2000) == more
 

@@ -34,9 +34,9 @@ PEOPLE = ("person-0000", "person-0001", "person-0002")
 @functools.cache
 def help_of(*words: str) -> str:
     """What `WORDS --help` says."""
-    said = run_as_written(shlex.join([*words, "--help"]), ROOT)
-    assert said.returncode == 0, said.stderr
-    return said.stdout
+    printed = run_as_written(shlex.join([*words, "--help"]), ROOT)
+    assert printed.returncode == 0, printed.stderr
+    return printed.stdout
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -65,10 +65,10 @@ def test_every_option_that_the_readme_names_is_one_of_its_command(command: str) 
     words = shlex.split(command)
     # The words before the first that names a file: a program and its subcommands.
     names = [word for word in words[:3] if word.replace("-", "").islower() and "." not in word]
-    said = help_of(*names)
+    printed = help_of(*names)
     for written in commands(README):
         if written.startswith(command):
-            assert [o for o in sorted(options(written)) if o not in said] == []
+            assert [o for o in sorted(options(written)) if o not in printed] == []
 
 
 def test_the_commands_and_examples_of_the_datasets_page_run_as_written(
@@ -135,20 +135,20 @@ def test_the_datasets_page_explains_every_field_that_is_written_and_no_other(
     }
     table = DATASET.split("## Every field of dataset.json")[1].split("\n## ")[0]
     rows = [line.split(" | ") for line in table.splitlines() if line.startswith("| `")]
-    told = [
+    stated = [
         (row[0].strip("| `"), kind)
         for row in rows
         for kind in (written if row[1] == "both" else [row[1]])
     ]
-    assert len(told) == len(set(told))
-    assert set(told) == found
+    assert len(stated) == len(set(stated))
+    assert set(stated) == found
     assert all(len(row) == 3 and len(row[2]) > 4 for row in rows)
 
 
 @pytest.mark.parametrize("command", commands((ROOT / "docs" / "learning.md").read_text()))
 def test_every_command_of_the_learning_page_has_the_options_that_it_is_given(command: str) -> None:
-    said = help_of(*shlex.split(command)[:2])
-    assert [option for option in sorted(options(command)) if option not in said] == []
+    printed = help_of(*shlex.split(command)[:2])
+    assert [option for option in sorted(options(command)) if option not in printed] == []
 
 
 def test_the_configuration_of_the_learning_page_is_taken_as_written() -> None:

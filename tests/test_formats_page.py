@@ -22,10 +22,10 @@ from lightstage.formats.session import load_session
 from lightstage.formats.template import load_template
 from lightstage.poses_from_photos.lenses import read_lenses
 from lightstage.rig import load_rig
-from processing.calibration.colour.flat_file import read_flats
 from processing.colour import read_colour
 from processing.dataset import open_store
 from processing.dataset.scan import read_head_pose
+from processing.raw.flat_file import read_flats
 from processing.records import read_records
 from tests.documents import ROOT
 
@@ -115,5 +115,5 @@ def test_a_newer_version_is_refused(folder: Path, name: str) -> None:
 
 def test_the_pages_maps_are_the_programs() -> None:
     rows = re.findall(r"^\| `(\w+)` \| (\d) \| (yes|no) \|", PAGE, re.M)
-    told = {name: (int(channels), half == "yes") for name, channels, half in rows}
-    assert told == {name: (spec.channels, spec.half) for name, spec in MAPS.items()}
+    values = {name: (int(channels), half == "yes") for name, channels, half in rows}
+    assert values == {name: (spec.channels, spec.half) for name, spec in MAPS.items()}

@@ -204,7 +204,7 @@ def a_store(path):
 
 
 def flats_of_processing(path):
-    from processing.calibration.colour.flat_file import read_flats
+    from processing.raw.flat_file import read_flats
 
     return read_flats(path, ["cam0", "cam1"])
 
@@ -301,8 +301,10 @@ TAKEN_BY_ITSELF = ("checkpoint.json", "manifest.json")
 
 @pytest.mark.parametrize("name", ALL)
 def test_every_reader_takes_the_file_as_it_should_be(whole, name):
-    said = read(ALL[name], whole / name)
-    assert said is None or (name in TAKEN_BY_ITSELF and "no such file" in said) or "sha256" in said
+    facts = read(ALL[name], whole / name)
+    assert (
+        facts is None or (name in TAKEN_BY_ITSELF and "no such file" in facts) or "sha256" in facts
+    )
 
 
 TEXTS = {
@@ -343,13 +345,13 @@ def test_a_text_that_no_reader_takes_is_one_message_that_names_the_file(whole, t
         else:
             make(path)
         before = listing(tmp_path)
-        said = read(ALL[name], path)
+        facts = read(ALL[name], path)
         empty = kind == "nothing" and name.endswith(".toml")  # every value may be left out
         gone = kind in ("circle", "nowhere", "folder") and name == "stages.json"
-        assert said is not None or empty or gone, kind
-        if said is not None:
-            assert path.name in said or str(path.parent) in said, (kind, said)
-            assert len(said) < 2000
+        assert facts is not None or empty or gone, kind
+        if facts is not None:
+            assert path.name in facts or str(path.parent) in facts, (kind, facts)
+            assert len(facts) < 2000
         assert listing(tmp_path) == before, kind
         if path.is_dir() and not path.is_symlink():
             path.rmdir()
@@ -400,8 +402,8 @@ def test_a_value_of_another_kind_is_taken_or_refused_by_the_files_name(whole, tm
             if name == "template/template.json" and other not in (None, 3, "x", {"x": {}}):
                 continue  # the mesh is read each time
             path.write_text(json.dumps(put(value, at, other)))
-            said = read(reader, path)
-            assert said is None or path.name in said or str(root) in said, (at, other, said)
+            facts = read(reader, path)
+            assert facts is None or path.name in facts or str(root) in facts, (at, other, facts)
 
 
 def as_toml(value):
@@ -440,8 +442,8 @@ def test_a_value_of_another_kind_in_a_simulators_toml_is_refused_by_the_files_na
                 continue  # TOML has no such values
             lines = put(value, at, other).items()
             path.write_text("".join(f"{key} = {as_toml(inner)}\n" for key, inner in lines))
-            said = read(reader, path)
-            assert said is None or path.name in said, (at, other, said)
+            facts = read(reader, path)
+            assert facts is None or path.name in facts, (at, other, facts)
 
 
 def test_each_field_of_a_journals_lines_is_taken_or_refused_by_its_line(whole, tmp_path):
@@ -454,8 +456,8 @@ def test_each_field_of_a_journals_lines_is_taken_or_refused_by_its_line(whole, t
             for other in OTHERS:
                 changed = json.dumps(put(line, at, other))
                 path.write_text("\n".join([*lines[:index], changed, *lines[index + 1 :]]) + "\n")
-                said = read(a_journal, path)
-                assert said is None or "journal.jsonl" in said, (at, other, said)
+                facts = read(a_journal, path)
+                assert facts is None or "journal.jsonl" in facts, (at, other, facts)
 
 
 @pytest.mark.parametrize("there", ["../outside", "/etc", "a/../../b", "a\0b", "frames\\x"])

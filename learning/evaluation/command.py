@@ -21,6 +21,7 @@ from learning.evaluation.portrait import portrait
 from learning.evaluation.recogniser import Recogniser, RecogniserRequest
 from learning.export.source import maps_folder
 from learning.maps import SHININESS, TRANSLUCENCY, TexturedHead, skin_maps_from
+from learning.photo.command import FIT
 from learning.relight import lit_texture, shadows_of
 from learning.render.uv import UvRaster, rasterise
 from lightstage.commands import ProgressCallback
@@ -178,6 +179,9 @@ def _measured(
 ) -> tuple[Person, np.ndarray]:
     """One person's figures, and the found albedo."""
     mine, theirs = _maps(inferred), _maps(truth)
+    pose = _pose(truth)
+    theirs = _turned(theirs, pose)
+    mine = _turned(mine, _pose(inferred, pose))
     size = mine["diffuse_albedo"].shape[:2]
     whole = theirs["diffuse_albedo"].shape[:2]
     if size[0] * whole[1] != size[1] * whole[0]:
@@ -204,7 +208,7 @@ def _measured(
     for name in ("diffuse_normal", "specular_normal"):
         figures |= normal_measures(name, mine[name], theirs[name], skin)
     figures |= specular_measures(mine["specular_albedo"], theirs["specular_albedo"], skin)
-    relit, faces = _relit(mine, theirs, skin, truth, recogniser)
+    relit, faces = _relit(mine, theirs, skin, truth, pose, recogniser)
     figures |= relit
     if faces is not None:
         figures["identity_cosine"] = float(faces[0] @ faces[1])
@@ -218,9 +222,18 @@ def _relit(
     theirs: dict[str, np.ndarray],
     skin: np.ndarray,
     truth: Path,
+    head_from_world: np.ndarray,
     recogniser: Recogniser | None,
 ) -> tuple[dict[str, float], np.ndarray | None]:
     """Both maps rendered on the truth's mesh under lights that nobody used.
+
+    Args:
+        mine: found maps, normals in the head frame.
+        theirs: true ones, the same.
+        skin: (rows, columns) bool.
+        truth: whose mesh is rendered.
+        head_from_world: (3, 4) of this mesh.
+        recogniser: or None.
 
     Returns:
         PSNR in dB by light, and (2, d) what a recogniser makes of both under `PORTRAIT_LIGHT`.
@@ -235,9 +248,10 @@ def _relit(
             )
         return {}, None
     mesh = read_mesh(folder.registered_mesh)
+    mesh = mesh.with_vertices(mesh.vertices @ head_from_world[:, :3].T + head_from_world[:, 3])
     size = (RELIT_ROWS, RELIT_ROWS * skin.shape[1] // skin.shape[0])
     raster = rasterise(mesh, *size)
-    # Lights stand about the head: the middle of its vertices, in its own axes.
+    # Lights are about the middle of the vertices, in the head's axes: the same for every head.
     centre = mesh.vertices.mean(axis=0)
     shown = (_resized(skin.astype(np.float32), size) > 0.5) & raster.covered
     heads = [_head(maps, mesh, raster, size) for maps in (mine, theirs)]
@@ -256,8 +270,9 @@ def _relit(
         if shown.any():
             figures[f"relit_{name}_db"] = psnr_db(*(srgb_from_linear(t[shown]) for t in textures))
         if recogniser is not None and name == PORTRAIT_LIGHT:
-            pose = read_head_pose(folder.head_pose) if folder.head_pose.exists() else np.eye(3, 4)
-            pictures = [portrait(t, raster.covered, mesh, pose, recogniser.size) for t in textures]
+            pictures = [
+                portrait(t, raster.covered, mesh, np.eye(3, 4), recogniser.size) for t in textures
+            ]
             faces = np.stack([recogniser.embedding(picture) for picture in pictures])
     return figures, faces
 
@@ -275,6 +290,30 @@ def _head(
     ones = np.ones(size, np.float32)
     skin = skin_maps_from(small, raster.covered, SHININESS * ones, TRANSLUCENCY * ones)
     return TexturedHead(mesh, raster, skin, raster.covered)
+
+
+def _pose(given: Path, other: np.ndarray | None = None) -> np.ndarray:
+    """(3, 4) from the axes of a folder's normals to the head frame.
+
+    Args:
+        given: folder of maps.
+        other: pose of maps that have none of their own, such as `infer` writes: they have the axes
+            of the mesh that it was given. A fit's are in the head frame.
+    """
+    folder = ProcessedFolder(maps_folder(given).parent)
+    if folder.head_pose.exists():
+        return read_head_pose(folder.head_pose)
+    if other is None or (folder.root / FIT).exists():
+        return np.eye(3, 4)
+    return other
+
+
+def _turned(maps: dict[str, np.ndarray], pose: np.ndarray) -> dict[str, np.ndarray]:
+    """Maps with their normals turned."""
+    return {
+        name: image @ pose[:, :3].T if name.endswith("_normal") else image
+        for name, image in maps.items()
+    }
 
 
 def _maps(given: Path) -> dict[str, np.ndarray]:

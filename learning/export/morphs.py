@@ -24,6 +24,50 @@ WHOLE = (
 ARKIT = (*(f"{name}{side}" for name in SIDED for side in ("Left", "Right")), *WHOLE)
 """The 52 blend shapes of ARKit [ARKit17]."""
 
+MIDDLE_MM = 12.0
+"""Half the width of the middle, where one side of a split expression fades into the other."""
+BOTH_SIDES = {
+    "smile": "mouthSmile",
+    "brow_furrow": "browDown",
+    "eyes_closed": "eyeBlink",
+}
+"""Expressions of our own template that ARKit has for each side of its own."""
+BROWS = "brow_raise"
+INNER_MM, OUTER_MM = 18.0, 42.0
+"""From the middle: a raised brow is ARKit's inner one up to the first, its outer one beyond the
+second."""
+ALSO = {"pucker": "mouthPucker"}
+"""Expressions of our own template under another name."""
+
+
+def arkit_targets(own: str, offsets: np.ndarray, x_mm: np.ndarray) -> dict[str, np.ndarray]:
+    """An expression as ARKit's, one or several whose sum it is; none where ARKit has nothing alike.
+
+    Args:
+        own: name of the expression.
+        offsets: (n, 3) of its vertices.
+        x_mm: (n,) places of the vertices in the head frame, left of the head above 0.
+    """
+    left = _rising(x_mm, -MIDDLE_MM, MIDDLE_MM)[:, None]
+    if own in BOTH_SIDES:
+        name = BOTH_SIDES[own]
+        return {f"{name}Left": left * offsets, f"{name}Right": (1 - left) * offsets}
+    if own == BROWS:
+        outer = _rising(np.abs(x_mm), INNER_MM, OUTER_MM)[:, None]
+        return {
+            "browInnerUp": (1 - outer) * offsets,
+            "browOuterUpLeft": outer * left * offsets,
+            "browOuterUpRight": outer * (1 - left) * offsets,
+        }
+    whole = arkit_name(ALSO.get(own, own))
+    return {} if whole is None else {whole: offsets}
+
+
+def _rising(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """0 below, 1 above, smooth between."""
+    share = np.clip((values - low) / (high - low), 0, 1)
+    return np.asarray(share * share * (3 - 2 * share))
+
 
 def arkit_name(own: str) -> str | None:
     """ARKit's name of an expression, such as eyeBlinkLeft of eyeBlink_L; None where it has none.
@@ -67,12 +111,12 @@ def morph_targets(
     targets: dict[str, np.ndarray] = {}
     others = []
     if found.modes is not None:
+        x_mm = found.mesh.vertices[:, 0]
         for own, offsets in zip(found.modes.expression_names, found.modes.expression, strict=True):
-            name = arkit_name(own)
-            if name is None:
+            parts = arkit_targets(own, np.asarray(offsets, float), x_mm)
+            if not parts:
                 others.append(own)
-                continue
-            # Row vectors: the inverse of a rotation is its transpose.
-            turned = np.asarray(offsets, float) @ head_from_mesh[:, :3]
-            targets[name] = targets.get(name, 0.0) + turned
+            for name, part in parts.items():
+                # Row vectors: the inverse of a rotation is its transpose.
+                targets[name] = targets.get(name, 0.0) + part @ head_from_mesh[:, :3]
     return targets, tuple(others)

@@ -86,14 +86,14 @@ class Source:
 
 
 def maps_folder(given: Path) -> Path:
-    """The folder of maps that is meant: of a processed folder its atlas.
+    """The folder of maps that is meant: of a processed folder, a fit or an avatar its atlas.
 
     Raises:
         MapsError: none, several, or one camera's (see `require_texture_maps`).
     """
-    atlas = given / "atlas"
-    if not (given / MARK).is_file() and (atlas / MARK).is_file():
-        return atlas
+    for atlas in (given / "atlas", given / "fit" / "atlas"):
+        if not (given / MARK).is_file() and (atlas / MARK).is_file():
+            return atlas
     require_texture_maps(given)
     return given
 
@@ -102,7 +102,8 @@ def read_source(given: Path, mesh: Path | None = None, template: Path | None = N
     """Read a processed folder, or a folder of maps and the mesh that they lie on.
 
     Args:
-        given: a processed folder (its atlas is taken), its atlas, or maps of `infer`.
+        given: a processed folder, a fit or an avatar (its atlas is taken), an atlas, or maps of
+            `infer`.
         mesh: with the maps' UV, in the axes of their normals; registered_mesh.obj beside the maps
             where None.
         template: whose exponents tell the roughness where no map does.

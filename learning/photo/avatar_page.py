@@ -9,9 +9,11 @@ import cv2
 import numpy as np
 
 from learning.detail.emboss import embossed
+from learning.export.source import maps_folder
 from lightstage.formats.exr import read_exr
 from lightstage.formats.files import read_json
 from lightstage.formats.mesh import read_mesh
+from lightstage.formats.processed import ProcessedFolder
 from processing.report import Link, Marked, Picture, Section, Table, write_report
 from processing.sides import lit_sides
 
@@ -36,12 +38,13 @@ FILES = {
 """What the parts of an avatar may hold, and what it is."""
 
 
-def write_avatar_page(path: Path, parts: Sequence[str]) -> Path:
+def write_avatar_page(path: Path, parts: Sequence[str], maps: Path | None = None) -> Path:
     """Write the page, atomically; returns `path`.
 
     Args:
         path: in the avatar's folder.
         parts: folders that are up to date; others are not shown.
+        maps: of a captured head, where there is no fit.
     """
     out = path.parent
     there: list[list[str | float | int | Link | Marked]] = [
@@ -49,24 +52,25 @@ def write_avatar_page(path: Path, parts: Sequence[str]) -> Path:
         for file, what in FILES.items()
         if file.split("/")[0] in parts and (out / file).is_file()
     ]
-    fit = read_json(out / "fit" / "fit.json")
-    names = ", ".join(photograph["name"] for photograph in fit["photographs"])
-    sections = [
-        Section(
-            "Parts",
-            [Table(["part", "file", "MB"], there, f"Of {names}."), *fit["notes"]],
-        )
-    ]
+    if maps is None:
+        fit = read_json(out / "fit" / "fit.json")
+        of = ", ".join(photograph["name"] for photograph in fit["photographs"])
+        notes, mesh = fit["notes"], out / "fit" / "registered_mesh.obj"
+    else:
+        of, notes = f"the captured head {maps.name}", []
+        mesh = ProcessedFolder(maps_folder(maps).parent).registered_mesh
+    table = Table(["part", "file", "MB"], there, f"Of {of}.")
+    sections = [Section("Parts", [table, *notes])]
     if "detail" in parts:
-        sections.append(_relief(out))
+        sections.append(_relief(out, mesh))
     return write_report(path, "A head that leaves the program", sections)
 
 
-def _relief(out: Path) -> Section:
+def _relief(out: Path, shape: Path) -> Section:
     """The mesh without and with its heights, and their map."""
     facts = read_json(out / "detail" / "detail.json")
     height = read_exr(out / "detail" / "displacement.exr")
-    mesh = read_mesh(out / "fit" / "registered_mesh.obj")
+    mesh = read_mesh(shape)
     sides = [lit_sides(each, SIDE_PX) for each in (mesh, embossed(mesh, height, SHOWN_TIMES))]
     scale = min(1.0, HEIGHT_PX / height.shape[0])
     small = cv2.resize(height, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
@@ -74,7 +78,7 @@ def _relief(out: Path) -> Section:
     return Section(
         "Pores and folds",
         [
-            Picture(np.vstack(sides), "The fitted mesh, and below it with its relief."),
+            Picture(np.vstack(sides), "The mesh, and below it with its relief."),
             Picture(
                 grey,
                 f"Heights: white is {WHITE_MM:g} mm outward, black as much inward; "

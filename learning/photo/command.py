@@ -11,9 +11,11 @@ import numpy as np
 
 from learning.checkpoint import (
     load_mesostructure,
+    load_super_resolution,
     load_whole_face,
     read_checkpoint,
     shipped_mesostructure,
+    shipped_super_resolution,
     shipped_weights,
 )
 from learning.errors import MapsError
@@ -102,6 +104,7 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
         config,
         TrainedMesostructure(meso, about_meso.texture_rows),
         progress,
+        load_super_resolution(shipped_super_resolution())[0] if config.super_resolution else None,
     )
     facts = _facts(photographs, fitted, config, notes, request.template)
     with atomic_folder(request.out, FIT) as folder:

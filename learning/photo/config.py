@@ -31,6 +31,7 @@ class FitConfig:
         albedo_deviation: standard deviation of the albedo's logarithm, beside the mean person's
             pattern and the ways in which our people differ from it.
         outline_mm: standard deviation of an outline.
+        super_resolution: whether a photograph of fewer pixels than texels is enlarged.
     """
 
     rows: int = 1536
@@ -51,3 +52,4 @@ class FitConfig:
     pixel_alike_mm2: float = 15.0
     albedo_deviation: float = 0.02
     outline_mm: float = 1.5
+    super_resolution: bool = True

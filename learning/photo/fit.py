@@ -19,12 +19,15 @@ from learning.maps import SHININESS, TRANSLUCENCY, TexturedHead, skin_maps_from
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
+from learning.photo.enlarge import Enlarged, enlarged
+from learning.photo.foreground import foreground
 from learning.photo.landmark_fit import LandmarkFit, Problem, Sighting, camera_of
 from learning.photo.model import ShapeModel, shape_model
 from learning.photo.pixel_fit import PixelFit
 from learning.photo.unwrap import Unwrapped, unwrap
 from learning.relight import lit_texture, shadows_of
 from learning.render.uv import UvRaster, rasterise
+from learning.upscale.network import Rcan
 from learning.whole.gaps import continued
 from learning.whole.infer import infer_whole_face
 from lightstage.commands import ProgressCallback, quiet
@@ -245,6 +248,7 @@ def fit_head(
     config: FitConfig,
     mesostructure: TrainedMesostructure | None = None,
     progress: ProgressCallback = quiet,
+    super_resolution: Rcan | None = None,
 ) -> FittedHead:
     """Fit a head to photographs of one person; shape from all, texture and light from the first.
 
@@ -256,6 +260,7 @@ def fit_head(
         config: of the fit.
         mesostructure: finds pores and folds.
         progress: called with steps done and their number.
+        super_resolution: enlarges a photograph of fewer pixels than texels.
 
     Raises:
         MapsError: see `fit_shape`; a photograph that shows too little of the face.
@@ -264,7 +269,9 @@ def fit_head(
     shape = fit_shape(photographs, template, places, config, network=network)
     progress(1, steps)
     photograph, mesh, camera = photographs[0], shape.meshes[0], shape.cameras[0]
-    coarse = _Texels(photograph, mesh, camera, COARSE_ROWS)
+    person = foreground(photograph.rgb_linear, mesh, shape.model.face, camera)
+    vertices = shape.model.face
+    coarse = _Texels(photograph, mesh, camera, COARSE_ROWS, person, vertices)
     face = coarse.raster.interpolate(shape.model.face[:, None].astype(float))[..., 0] > 0.5
     share = (coarse.unwrapped.seen & face).sum() / max(face.sum(), 1)
     if share < LEAST_SEEN:
@@ -283,7 +290,7 @@ def fit_head(
         progress(2 + done, steps)
         if (before != skin).mean() < 1e-3:
             break
-    texels = _Texels(photograph, mesh, camera, config.rows)
+    texels = _Texels(photograph, mesh, camera, config.rows, person, vertices, super_resolution)
     masked = 1 - (skin & face).sum() / max((coarse.unwrapped.seen & face).sum(), 1)
     size = texels.raster.covered.shape[::-1]
     allowed = cv2.resize((coarse.unwrapped.seen & ~skin).astype(np.float32), size) < 0.5
@@ -300,6 +307,11 @@ def fit_head(
         notes.append(
             f"{photograph.name}: no light was found that explains it; what it does not show was "
             "continued from what it shows"
+        )
+    if texels.enlarged:
+        notes.append(
+            f"{photograph.name} has fewer pixels than the texture has texels: super-resolution "
+            "enlarged it"
         )
     confidence = np.where(seen, np.clip(texels.unwrapped.facing, 0, 1), 0).astype(np.float32)
     progress(steps, steps)
@@ -319,10 +331,28 @@ def fit_head(
 class _Texels:
     """A photograph in the texels of its mesh."""
 
-    def __init__(self, photograph: Photograph, mesh: Mesh, camera: Camera, rows: int) -> None:
+    def __init__(
+        self,
+        photograph: Photograph,
+        mesh: Mesh,
+        camera: Camera,
+        rows: int,
+        person: np.ndarray,
+        face: np.ndarray,
+        super_resolution: Rcan | None = None,
+    ) -> None:
         self.name, self.mesh = photograph.name, mesh
         self.raster: UvRaster = rasterise(mesh, rows, rows * 2 // 3)
-        self.unwrapped: Unwrapped = unwrap(photograph.rgb_linear, mesh, self.raster, camera)
+        shown = Enlarged(photograph.rgb_linear, person, camera)
+        if super_resolution is not None:
+            larger = enlarged(
+                shown.rgb_linear, person, mesh, self.raster, face, camera, super_resolution
+            )
+            shown = shown if larger is None else larger
+        self.enlarged = shown.camera is not camera
+        self.unwrapped: Unwrapped = unwrap(
+            shown.rgb_linear, mesh, self.raster, shown.camera, shown.person
+        )
 
     def inferred(
         self,

@@ -40,7 +40,13 @@ class Unwrapped:
     facing: np.ndarray
 
 
-def unwrap(rgb_linear: np.ndarray, mesh: Mesh, raster: UvRaster, camera: Camera) -> Unwrapped:
+def unwrap(
+    rgb_linear: np.ndarray,
+    mesh: Mesh,
+    raster: UvRaster,
+    camera: Camera,
+    person: np.ndarray | None = None,
+) -> Unwrapped:
     """Sample a photograph at each texel of a mesh that it shows.
 
     Args:
@@ -48,6 +54,7 @@ def unwrap(rgb_linear: np.ndarray, mesh: Mesh, raster: UvRaster, camera: Camera)
         mesh: in the camera's world, mm.
         raster: of the texture.
         camera: the photograph's; its size is that of `rgb_linear`.
+        person: (h, w) bool, pixels that show the person; all where None.
     """
     covered = raster.covered
     position = raster.interpolate(mesh.vertices)[covered].astype(float)
@@ -66,6 +73,9 @@ def unwrap(rgb_linear: np.ndarray, mesh: Mesh, raster: UvRaster, camera: Camera)
     met = scene.cast_rays(open3d.core.Tensor(rays))["t_hit"].numpy()
     seen[seen] = met > distance[seen] - SAME_MM / np.maximum(cosine[seen], GRAZING)
     seen[seen] = ~_edges(scene, camera, place[seen])
+    if person is not None:
+        column, row = place[seen].astype(int).T
+        seen[seen] = person[row, column]
     texture = np.zeros((*covered.shape, 3), np.float32)
     texture[covered] = _sampled(rgb_linear, place, seen, covered)
     return Unwrapped(texture, _spread(seen, covered), _spread(cosine.astype(np.float32), covered))

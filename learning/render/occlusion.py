@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import open3d
 
 from learning.render.environments import Environment
+from learning.render.kept_shadows import kept_or_baked
 from learning.render.light_dome import even_directions
 from learning.render.uv import UvRaster
 from lightstage.commands import ProgressCallback, quiet
@@ -28,11 +28,14 @@ class PositionGrid:
         position_mm: (rows, columns, 3).
         normal: (rows, columns, 3) unit.
         covered: (rows, columns) bool.
+        name: of the head, by which its shadows may be kept (see `kept_shadows`); nothing for a
+            head whose shadows are not.
     """
 
     position_mm: np.ndarray
     normal: np.ndarray
     covered: np.ndarray
+    name: str = ""
 
 
 def bake_visibility(
@@ -75,6 +78,11 @@ def bake_grid(surface: PositionGrid, position_mm: np.ndarray) -> np.ndarray:
     Returns:
         (L, rows, columns) float32, as `bake_visibility`.
     """
+    size = (*surface.covered.shape,)
+    return kept_or_baked(surface.name, size, position_mm, lambda: _baked(surface, position_mm))
+
+
+def _baked(surface: PositionGrid, position_mm: np.ndarray) -> np.ndarray:
     rows, columns = surface.covered.shape
     out = np.zeros((len(position_mm), rows, columns), np.float32)
     caster = ShadowCaster(
@@ -122,10 +130,14 @@ class ShadowCaster:
         self, vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, normals: np.ndarray
     ) -> None:
         """A surface of (V, 3) vertices and (T, 3) triangles, and n points with their normals."""
+        # Importing it takes two seconds, which a training with kept shadows has no use for.
+        import open3d
+
+        self._tensor = open3d.core.Tensor
         self._scene = open3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(
-            open3d.core.Tensor(np.ascontiguousarray(vertices, np.float32)),
-            open3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
+            self._tensor(np.ascontiguousarray(vertices, np.float32)),
+            self._tensor(np.ascontiguousarray(triangles, np.uint32)),
         )
         self._starts = (points + OFFSET_MM * normals).astype(np.float32)
         self._normals = normals
@@ -152,7 +164,7 @@ class ShadowCaster:
                     toward = light - start
                 facing = np.einsum("nk,nk->n", toward, normals[first : first + len(start)]) > 0
                 rays = np.concatenate([start[facing], toward[facing]], axis=1)
-                blocked = self._scene.test_occlusions(open3d.core.Tensor(rays), tnear=0.0, tfar=1.0)
+                blocked = self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=1.0)
                 out[index, first + np.flatnonzero(facing)] = ~blocked.numpy()
                 progress(index * len(starts) + first + len(start), len(lights) * len(starts))
         return out

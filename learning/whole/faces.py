@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextvars
 import dataclasses
+import functools
+import os
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import torch
@@ -12,6 +16,7 @@ from torch import Tensor
 
 from learning import augment
 from learning.clock import RENDERING, Clock
+from learning.devices import CPU, moved
 from learning.encoding import shrink
 from learning.maps import from_batch, to_batch, typical_texel_mm
 from learning.networks.whole_face import KnownPeople, WholeFaceConfig, face_input
@@ -164,10 +169,12 @@ class Faces:
         mode: Mode = "physical",
         progress: ProgressCallback = quiet,
         clock: Clock | None = None,
+        lit_on: torch.device = CPU,
     ) -> None:
         """Read and shrink the scans, and bake the shadows of random sets of lights.
 
-        What is drawn counts on `clock` as data and rendering.
+        What is drawn counts on `clock` as data and rendering. `draw` lights its batches on the
+        device `lit_on`, and leaves them there; a copy of all scans is kept in its memory.
         """
         self._clock = clock or Clock()
         self._store, self._config = store, config
@@ -175,11 +182,30 @@ class Faces:
         self._size = (size.rows, size.columns)
         self._options = ShadeOptions(mode)
         self._scans = [scan for scan in store.scans if scan.subject in subjects]
-        self.faces: list[Face] = []
-        for done, scan in enumerate(self._scans):
-            maps, skin = read_small(store, scan.index, FINER * size.rows, FINER * size.columns)
-            self.faces.append(self._face(maps, skin, rng))
-            progress(done + 1, len(self._scans))
+        size_px = (FINER * size.rows, FINER * size.columns)
+        # Rays are cast outside Python's lock: a person in each thread.
+        threads = ThreadPoolExecutor(len(os.sched_getaffinity(0)))
+        try:
+            baked = [
+                threads.submit(
+                    # With the folder of kept shadows, which is this thread's alone.
+                    contextvars.copy_context().run,
+                    functools.partial(
+                        _face,
+                        *read_small(store, scan.index, *size_px),
+                        [random_lights(rng, lights) for _ in range(config.shadow_sets)],
+                        scan.sha256 and f"{scan.sha256} of the surface",
+                    ),
+                )
+                for scan in self._scans
+            ]
+            self.faces: list[Face] = []
+            for done, face in enumerate(baked):
+                self.faces.append(face.result())
+                progress(done + 1, len(self._scans))
+        finally:
+            threads.shutdown(cancel_futures=True)
+        self._placed = [moved(face, lit_on) for face in self.faces]
 
     @property
     def names(self) -> list[str]:
@@ -211,12 +237,15 @@ class Faces:
         )
 
     def draw(self, count: int, rng: np.random.Generator, share: slice = slice(None)) -> FaceBatch:
-        """A batch of random scans, or a share of it: what is drawn is the whole batch's."""
-        faces = [self.faces[int(index)] for index in rng.integers(0, len(self.faces), count)]
+        """A batch of random scans, or a share of it: what is drawn is the whole batch's.
+
+        It is on the device that it is lit on.
+        """
+        faces = [self._placed[int(index)] for index in rng.integers(0, len(self._placed), count)]
         return self._batch(faces[share], rng.spawn(count)[share], _mean_texel_mm(faces))
 
     def batch(self, chosen: list[int], rng: np.random.Generator) -> FaceBatch:
-        """Light some scans at random; the same scan gives another pair each time."""
+        """Light some scans at random, on the processor; a scan gives another pair each time."""
         faces = [self.faces[index] for index in chosen]
         return self._batch(faces, rng.spawn(len(faces)), _mean_texel_mm(faces))
 
@@ -284,7 +313,7 @@ class Faces:
         texture = torch.empty_like(skin.diffuse_albedo)
         for mode in dict.fromkeys(modes):
             here = [index for index, own in enumerate(modes) if own == mode]
-            light = stack([environments[index] for index in here])
+            light = moved(stack([environments[index] for index in here]), texture.device)
             seen = torch.cat([_padded(shadows[index], light.rgb.shape[1]) for index in here])
             some = skin if len(here) == len(faces) else _joined([skins[i] for i in here], texel_mm)
             with torch.no_grad(), self._clock.part(RENDERING):
@@ -309,7 +338,7 @@ class Faces:
             balance = np.exp(rng.normal(0, config.white_balance, (3, 1, 1)))
             flaws.append(balance * np.exp(rng.normal(0, config.noise, tuple(small.shape[1:]))))
             shown.append(self._shown(own, rng))
-        small = small * torch.from_numpy(np.stack(flaws).astype(np.float32))
+        small = small * torch.from_numpy(np.stack(flaws).astype(np.float32)).to(small)
         seen = surface * torch.cat(shown)
         small = small * seen
         share = shrink(captured, size)
@@ -331,20 +360,6 @@ class Faces:
             return torch.ones_like(normal[:, :1])
         toward = normal.new_tensor(direction / np.linalg.norm(direction)).view(1, 3, 1, 1)
         return ((normal * toward).sum(dim=1, keepdim=True) > reach).to(normal)
-
-    def _face(
-        self, maps: dict[str, np.ndarray], skin: np.ndarray, rng: np.random.Generator
-    ) -> Face:
-        tensors, texel_mm, surface = _tensors(maps)
-        covered = (maps["position"] != 0).any(axis=2)
-        grid = PositionGrid(maps["position"], surface.normal, covered)
-        sets = [random_lights(rng, self._lights) for _ in range(self._config.shadow_sets)]
-        # All lights at once: the tree of the surface's triangles is built once.
-        baked = (255 * bake_grid(grid, np.concatenate([*sets, DOME_MM]))).astype(np.uint8)
-        *parts, dome = np.split(baked, np.cumsum([len(at) for at in sets]))
-        seen = [torch.from_numpy(part) for part in parts]
-        tensors["ambient_occlusion"] = to_batch(openness(surface.normal, dome / 255))
-        return Face(tensors, to_batch(skin), texel_mm, sets, seen)
 
 
 def read_small(
@@ -392,6 +407,19 @@ def _enlarged_shadows(visibility: Tensor, size: tuple[int, int]) -> Tensor:
     """(n, h, w) uint8 of a coarser grid at another size, with edges as sharp as small lamps'."""
     seen = functional.interpolate(visibility[None].float() / 255, size, mode="bilinear")[0]
     return (255 * ((seen - 0.5) * SHARPER + 0.5).clamp(0, 1)).to(torch.uint8)
+
+
+def _face(maps: dict[str, np.ndarray], skin: np.ndarray, sets: list[np.ndarray], name: str) -> Face:
+    """A scan whose shadows of sets of (n, 3) lights are baked; `name` is its surface's."""
+    tensors, texel_mm, surface = _tensors(maps)
+    covered = (maps["position"] != 0).any(axis=2)
+    grid = PositionGrid(maps["position"], surface.normal, covered, name)
+    # All lights at once: the tree of the surface's triangles is built once.
+    baked = (255 * bake_grid(grid, np.concatenate([*sets, DOME_MM]))).astype(np.uint8)
+    *parts, dome = np.split(baked, np.cumsum([len(at) for at in sets]))
+    seen = [torch.from_numpy(part) for part in parts]
+    tensors["ambient_occlusion"] = to_batch(openness(surface.normal, dome / 255))
+    return Face(tensors, to_batch(skin), texel_mm, sets, seen)
 
 
 def _skin_maps(face: Face, variation: augment.Variation) -> SkinMaps:

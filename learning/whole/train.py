@@ -97,11 +97,13 @@ def face_task(
     config = trainer.config
     rng, seed = np.random.default_rng([config.seed, 1]), config.seed
 
-    def faces_of(people: set[str], how: FacesConfig, skins: AugmentConfig) -> Faces:
-        size, lights, mode = config.network, config.lights, config.shading
-        return Faces(store, people, size, how, lights, skins, rng, mode, clock=run.clock)
+    def faces_of(
+        people: set[str], how: FacesConfig, skins: AugmentConfig, lit_on: torch.device = CPU
+    ) -> Faces:
+        drawn = (config.lights, skins, rng, config.shading)
+        return Faces(store, people, config.network, how, *drawn, clock=run.clock, lit_on=lit_on)
 
-    faces = faces_of(trained_on, config.faces, config.augment)
+    faces = faces_of(trained_on, config.faces, config.augment, trainer.device)
     # Scored are people as they are, and all of their faces.
     whole = dataclasses.replace(config.faces, partial_share=0.0)
     scored = faces_of(held_out, whole, config.augment.as_they_are())
@@ -159,7 +161,7 @@ def measured_doubt(network: WholeFaceNetwork, faces: Faces, config: WholeTrainCo
     mean = network.mean_log_albedo.cpu()
     errors = []
     for _ in range(max(1, config.doubt_faces // config.batch)):
-        pair = faces.draw(config.batch, rng)
+        pair = moved(faces.draw(config.batch, rng), CPU)
         with torch.inference_mode():
             said = moved(network(pair.inputs.to(device_of(network))), CPU).diffuse_albedo.log()
         true = pair.diffuse_albedo.clamp_min(LEAST_ALBEDO).log()

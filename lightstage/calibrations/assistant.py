@@ -24,13 +24,13 @@ class TerminalAssistant:
         self._say = say
         self._ask = ask
 
-    def ready(self, number: int, count: int, asked: str) -> bool:
+    def ready(self, number: int, count: int, question: str) -> bool:
         """Ask for a pose; any answer but ``q`` takes it."""
-        self._say(f"Pose {number} of {count}: {asked}")
+        self._say(f"Pose {number} of {count}: {question}")
         return self._answer("Enter takes it, q stops: ", {"": True, "q": False})
 
     def judge(self, number: int, findings: Sequence[Finding], left: int) -> Verdict:
-        """Tell what is amiss and ask what to do; where no take is left, whether to keep it."""
+        """Report what is amiss and ask what to do; where no take is left, whether to keep it."""
         for finding in findings:
             self._say(f"  {finding}")
         if left <= 0:
@@ -47,11 +47,11 @@ class TerminalAssistant:
     def _answer(self, question: str, answers: dict[str, Meaning]) -> Meaning:
         while True:
             try:
-                said = self._ask(question).strip().lower()
+                answer = self._ask(question).strip().lower()
             except EOFError:
-                said = "q"  # nobody is there
-            if said in answers:
-                return answers[said]
+                answer = "q"  # nobody is there
+            if answer in answers:
+                return answers[answer]
 
 
 class UnattendedAssistant:
@@ -77,9 +77,9 @@ class UnattendedAssistant:
         self._sleep = sleep
         self._taken: dict[int, int] = {}
 
-    def ready(self, number: int, count: int, asked: str) -> bool:
-        """Tell what will be taken, and wait."""
-        self._say(f"Pose {number} of {count} in {self._pause_s:g} s: {asked}")
+    def ready(self, number: int, count: int, question: str) -> bool:
+        """Announce what will be taken, and wait."""
+        self._say(f"Pose {number} of {count} in {self._pause_s:g} s: {question}")
         self._sleep(self._pause_s)
         return True
 

@@ -24,7 +24,7 @@ from lightstage.capture.stage import open_stage
 from lightstage.commands import JsonFlag, finish, output_folder
 from lightstage.counting import counted
 from lightstage.errors import ConfigError, LightstageError
-from lightstage.leds.address import parse_url
+from lightstage.leds.address import worst_answer_s
 from lightstage.operator import Unattended
 from lightstage.resume_line import calibrate_line, shell_line
 from lightstage.rig import load_rig
@@ -47,7 +47,7 @@ def calibrate_command(
     leds: str = typer.Option(..., help="The LED device, as for `capture`."),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
     resume: bool = typer.Option(
-        False, "--resume", help="Go on with the newest unfinished shots of this kind."
+        False, "--resume", help="Resume the newest unfinished shots of this kind."
     ),
     poses: int | None = typer.Option(None, min=1, help="How many, in place of the kind's own."),
     unattended: float | None = typer.Option(
@@ -66,7 +66,7 @@ def calibrate_command(
     _require_meaning(kind, resume, poses, every_light)
     the_rig = load_rig(rig)
     planned = plan_shots(chosen.shown(the_rig, every_light), the_rig, chosen.drive)
-    worst_s = settings.worst_shot_s(parse_url(leds).worst_s)
+    worst_s = settings.worst_shot_s(worst_answer_s(leds))
     check_shots(planned, the_rig, settings.safety, worst_s)
     file = CamerasFile() if cameras == "auto" else read_cameras_file(Path(cameras))
     assistant: Assistant = TerminalAssistant(_say, _ask)
@@ -75,11 +75,11 @@ def calibrate_command(
     with open_stage(the_rig, leds, file, settings) as stage:
         hello, own = stage.lights.hello, settings.calibration
         if resume:
-            shots = resume_shots(chosen, out, the_rig, stage.told, hello)
+            shots = resume_shots(chosen, out, the_rig, stage.summaries, hello)
         else:
             now = datetime.datetime.now(datetime.UTC)
             shots = begin_shots(
-                chosen, out, the_rig, stage.told, hello, own, now, poses, every_light
+                chosen, out, the_rig, stage.summaries, hello, own, now, poses, every_light
             )
         taker = SessionTaker(stage, chosen, settings, Unattended(settings.operator))
         try:
@@ -88,8 +88,8 @@ def calibrate_command(
             flags = {f"--unattended={unattended}": unattended is not None}
             options = resume_with(leds, cameras, config, flags)
             line = calibrate_line(kind, rig.absolute(), out.absolute(), options)
-            told = stopped() if isinstance(error, KeyboardInterrupt) else error
-            raise type(told)(f"{told}\n  Go on with: {line}") from None
+            ended = stopped() if isinstance(error, KeyboardInterrupt) else error
+            raise type(ended)(f"{ended}\n  Go on with: {line}") from None
     held = (shots.file.expires - shots.file.created).total_seconds() / 86400
     finish(
         f"{shots.root}: {counted(report.poses, 'pose')}, {report.again} taken again, "
@@ -121,8 +121,8 @@ def calibrations_command(
     if not as_json:
         for entry in entries:
             print(f"{entry.kind:8} {entry.folder or '-':26} {entry.says}")
-    for said in damaged:
-        print(f"cannot be read: {said}", file=sys.stderr)
+    for problem in damaged:
+        print(f"cannot be read: {problem}", file=sys.stderr)
     holding = sum(entry.state == "holds" for entry in entries)
     rigs = rigs_of(entries)
     finish(
@@ -147,7 +147,7 @@ def _require_meaning(kind: str, resume: bool, poses: int | None, every_light: bo
         raise ConfigError(
             "--resume",
             found="--poses" if poses is not None else "--every-light",
-            expected="neither: the shots that are gone on with have theirs",
+            expected="neither: the shots that are resumed have theirs",
         )
 
 
@@ -162,7 +162,7 @@ def _say(text: str) -> None:
 
 def _ask(question: str) -> str:
     print(question, end="", file=sys.stderr, flush=True)
-    said = sys.stdin.readline()
-    if not said:
+    line = sys.stdin.readline()
+    if not line:
         raise EOFError
-    return said
+    return line

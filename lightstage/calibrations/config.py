@@ -72,7 +72,7 @@ class LookConfig:
     min_flat_evenness: float = 0.4
 
     def __post_init__(self) -> None:
-        """ConfigError on a limit that is none: before a light goes on."""
+        """ConfigError on a bound that limits nothing: before a light goes on."""
         require_bounds(
             self,
             "calibration, look",
@@ -90,9 +90,9 @@ class CalibrationConfig:
         days: how long each kind holds.
         look: limits of the quick checks.
         board_poses_per_camera: boards held toward each camera.
-        mirror_poses: places of the mirror ball; two tell how far a light stands.
+        mirror_poses: places of the mirror ball; two determine how far a lamp is.
         grey_poses: places of the grey ball.
-        dark_poses: dark photographs of each camera; the median of several has no noise to speak of.
+        dark_poses: dark photographs of each camera; the median of several has hardly any noise.
         retakes_per_pose: of a pose that does not show what it must, where nobody is asked.
         takes_per_pose: after which a pose that never shows it stops the command, whoever is asked.
             An operator can change the target's place, its tilt, the light and the exposure; where

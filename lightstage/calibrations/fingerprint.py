@@ -22,17 +22,17 @@ SETTINGS = (
 """Fields of a camera's Summary that are kept with calibration shots."""
 
 
-def devices(told: Mapping[str, Summary], leds: Hello) -> dict[str, Any]:
+def devices(summaries: Mapping[str, Summary], leds: Hello) -> dict[str, Any]:
     """What calibration.json keeps of the devices, JSON-ready.
 
     Args:
-        told: camera id to what it tells.
+        summaries: by camera id.
         leds: the LED device.
     """
     return {
         "cameras": {
             camera_id: {name: getattr(summary, name) for name in SETTINGS}
-            for camera_id, summary in told.items()
+            for camera_id, summary in summaries.items()
         },
         "leds": {"firmware": leds.firmware, "light_count": leds.light_count},
     }

@@ -80,7 +80,7 @@ def newest_unfinished(lab: Path, kind: str) -> Shots:
         raise FormatError(
             lab,
             found=f"no unfinished {kind} shots",
-            expected="a folder to go on with",
+            expected="a folder to resume",
             hint="Leave out --resume to begin new ones.",
         )
     return begun[-1]

@@ -54,7 +54,7 @@ class Kind:
         """The camera for which pose `index` (from 0) is made; None: for all."""
         return rig.cameras[index % len(rig.cameras)].id if self.faces else None
 
-    def asks(self, rig: Rig, index: int) -> str:
+    def instruction(self, rig: Rig, index: int) -> str:
         """What the operator is asked to do for pose `index` (from 0)."""
         where = "before" if (index // len(rig.cameras)) % 2 == 0 else "behind"
         other = {
@@ -93,7 +93,7 @@ KINDS: dict[str, Kind] = {
         Kind(
             "mirror",
             "Set the mirror ball in the middle of the stage{spot}.",
-            # The ratio of a linear gradient to full tells where along its axis a light stands.
+            # The ratio of a linear gradient to full gives a lamp's place along its axis.
             ("full", *(f"lin-{name}" for name in BINARY)),
             "on-off",
             False,

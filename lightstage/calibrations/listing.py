@@ -1,4 +1,4 @@
-"""What lies in a lab, in plain words: kinds, age, and how long they still hold."""
+"""A lab's calibration shots in plain words: kinds, age, and how long they are still valid."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def list_lab(
 ) -> tuple[list[Entry], list[str]]:
     """All shots of a lab by kind, newest first, and what of it cannot be read.
 
-    Whether rig, cameras and LEDs are still the same is not known without them: a capture tells.
+    Whether rig, cameras and LEDs are still the same is not known without them: a capture checks it.
 
     Raises:
         FormatError: no such folder, or a session's.
@@ -65,8 +65,10 @@ def list_lab(
             wanted = ", wanted by every session" if kind in config.wanted else ""
             entries.append(Entry(kind, "", "missing", f"none yet{wanted}"))
     unknown = [each for each in shots if each.file.kind not in KINDS]
-    said = [f"{each.root.name}: an unknown kind, {each.file.kind!r}" for each in unknown]
-    return entries, said + [str(problem) for problem in problems]
+    problems_in_words = [
+        f"{each.root.name}: an unknown kind, {each.file.kind!r}" for each in unknown
+    ]
+    return entries, problems_in_words + [str(problem) for problem in problems]
 
 
 def _entry(
@@ -77,24 +79,24 @@ def _entry(
     left = (file.expires - now).total_seconds() / 86400
     if age < -config.clock_slack_s / 86400:
         state = "future"
-        says = f"made {duration(-age)} after now: is the computer's clock right?"
+        text = f"made {duration(-age)} after now: is the computer's clock right?"
     elif file.finished_utc is None:
         state = "unfinished"
-        says = (
+        text = (
             f"{len(file.poses)} of {counted(file.poses_wanted, 'pose')}, begun "
             f"{duration(age)} ago; calibrate {file.kind} with --resume and its other options "
-            "goes on"
+            "resumes them"
         )
     elif replaced:
-        state, says = "replaced", f"{duration(age)} old, newer ones count"
+        state, text = "replaced", f"{duration(age)} old, newer ones count"
     elif left <= 0:
-        state, says = "expired", f"{duration(age)} old, expired {duration(-left)} ago"
+        state, text = "expired", f"{duration(age)} old, expired {duration(-left)} ago"
     else:
-        state, says = "holds", f"{duration(age)} old, holds {duration(left)} more"
+        state, text = "holds", f"{duration(age)} old, holds {duration(left)} more"
     accepted = sum(len(pose.accepted) for pose in file.poses)
     if accepted:
-        says += f" ({counted(accepted, 'fault')} accepted by the operator)"
-    return Entry(file.kind, shots.root.name, state, says, file.rig_sha256)
+        text += f" ({counted(accepted, 'fault')} accepted by the operator)"
+    return Entry(file.kind, shots.root.name, state, text, file.rig_sha256)
 
 
 def rigs_of(entries: Sequence[Entry]) -> str:

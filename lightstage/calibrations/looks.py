@@ -1,6 +1,6 @@
 """What each photograph of a calibration target must show at once: figures, and what is amiss.
 
-Quick checks: they tell the operator to take a pose again, and measure nothing that a calibration
+Quick checks: they advise the operator to take a pose again, and measure nothing that a calibration
 could be made of.
 """
 
@@ -116,7 +116,7 @@ def look_at_grey_ball(picture: Picture, config: CalibrationConfig) -> Seen:
     largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
     disc = (labels == largest).astype(np.uint8)
     _, radius = cv2.minEnclosingCircle(np.argwhere(disc)[:, ::-1].astype(np.float32))
-    # A pixel's middle on the rim stands for half a pixel more.
+    # A pixel's middle on the rim represents half a pixel more.
     filled = float(disc.sum() / (np.pi * (radius + 0.5) ** 2))
     figures |= {"diameter_px": round(4.0 * radius, 1), "filled": round(filled, 3)}
     amiss = _ball(figures["diameter_px"], disc, config)

@@ -15,7 +15,7 @@ from lightstage.findings import Finding
 from lightstage.formats.session import load_session
 
 FEW_CORNERS = 4
-"""Corners of a board from which a camera can tell how it is held."""
+"""Corners of a board from which a camera can find how it is held."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,7 +77,7 @@ def look_at_pose(root: Path, kind: Kind, index: int, config: CalibrationConfig) 
 def _seen_by_few(
     kind: Kind, index: int, figures: dict[str, dict[str, Any]], config: CalibrationConfig
 ) -> list[Finding]:
-    """A board that too few cameras see at once cannot tell how they stand to each other."""
+    """A board that too few cameras see at once cannot give their poses to each other."""
     seen = [camera for camera, each in figures.items() if each.get("corners", 0) >= FEW_CORNERS]
     wanted = min(config.look.min_board_cameras, len(figures))
     if len(seen) >= wanted:

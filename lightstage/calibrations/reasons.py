@@ -1,4 +1,4 @@
-"""What was amiss in several takes of one pose, told in one message."""
+"""What was amiss in several takes of one pose, in one message."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from lightstage.findings import Finding
 
 
-def told_together(takes: Sequence[Sequence[Finding]]) -> tuple[str, str, str]:
-    """Join the findings of each take: what is found again is said once, with its takes.
+def joined(takes: Sequence[Sequence[Finding]]) -> tuple[str, str, str]:
+    """Join the findings of each take: what is found again is reported once, with its takes.
 
     Args:
         takes: findings of each take, in order; none of them empty.
@@ -25,16 +25,16 @@ def told_together(takes: Sequence[Sequence[Finding]]) -> tuple[str, str, str]:
             where.setdefault(place, {}).setdefault(finding.found, []).append(number)
             expected.setdefault(finding.expected)
             hints.setdefault(finding.hint)
-    said = [
+    parts = [
         f"{place}: "
         + ", ".join(found + _in_takes(numbers, len(takes)) for found, numbers in each.items())
         for place, each in where.items()
     ]
-    return "; ".join(said), "; ".join(expected), " ".join(filter(None, hints))
+    return "; ".join(parts), "; ".join(expected), " ".join(filter(None, hints))
 
 
 def _in_takes(numbers: Sequence[int], count: int) -> str:
-    """Which takes it was; nothing to say where it was every one of them."""
+    """Which takes it was; empty where it was every one of them."""
     if len(numbers) == count:
         return ""
     if len(numbers) == 1:

@@ -13,7 +13,7 @@ from lightstage.calibrations.fingerprint import devices
 from lightstage.calibrations.folder import new_shots, newest_unfinished, shots_id
 from lightstage.calibrations.kinds import Kind
 from lightstage.calibrations.pose import PoseLook, look_at_pose
-from lightstage.calibrations.reasons import told_together
+from lightstage.calibrations.reasons import joined
 from lightstage.calibrations.stale import changes
 from lightstage.cameras.camera import Summary
 from lightstage.commands import ProgressCallback, quiet
@@ -33,7 +33,7 @@ class PoseTaker(Protocol):
     """Takes one pose as a session folder, by the same capture as a face."""
 
     def __call__(self, root: Path, patterns: Sequence[str], drive: Drive) -> None:
-        """Take all patterns into `root`, or go on with what lies in it; whole when it returns.
+        """Take all patterns into `root`, or resume what is in it; whole when it returns.
 
         Raises:
             LightstageError: it could not be finished; what was taken is kept in `root`.
@@ -43,7 +43,7 @@ class PoseTaker(Protocol):
 class Assistant(Protocol):
     """Who puts the target before the cameras."""
 
-    def ready(self, number: int, count: int, asked: str) -> bool:
+    def ready(self, number: int, count: int, question: str) -> bool:
         """Ask for pose `number` of `count` and wait until it is held; False: stop here."""
 
     def judge(self, number: int, findings: Sequence[Finding], left: int) -> Verdict:
@@ -73,7 +73,7 @@ def begin_shots(
     kind: Kind,
     lab: Path,
     rig: Rig,
-    told: Mapping[str, Summary],
+    summaries: Mapping[str, Summary],
     leds: Hello,
     config: CalibrationConfig,
     now: datetime.datetime,
@@ -86,7 +86,7 @@ def begin_shots(
         kind: which.
         lab: the lab's folder.
         rig: saved beside.
-        told: camera id to what it tells.
+        summaries: by camera id.
         leds: the LED device.
         config: how many poses, how long they hold.
         now: with its zone.
@@ -102,7 +102,7 @@ def begin_shots(
         "created_utc": created.isoformat(timespec="milliseconds"),
         "expires_utc": expires.isoformat(timespec="milliseconds"),
         "rig_sha256": sha256,
-        "devices": devices(told, leds),
+        "devices": devices(summaries, leds),
         "patterns": list(kind.shown(rig, every_light)),
         "poses_wanted": poses or kind.poses(rig, config),
         "target": dataclasses.asdict(config.board) if kind.name == "charuco" else {},
@@ -113,16 +113,16 @@ def begin_shots(
 
 
 def resume_shots(
-    kind: Kind, lab: Path, rig: Rig, told: Mapping[str, Summary], leds: Hello
+    kind: Kind, lab: Path, rig: Rig, summaries: Mapping[str, Summary], leds: Hello
 ) -> Shots:
-    """The newest unfinished shots of a kind, to go on with.
+    """The newest unfinished shots of a kind, to be resumed.
 
     Raises:
         FormatError: there are none.
         CaptureError: the stage is another than when they were begun.
     """
     shots = newest_unfinished(lab, kind.name)
-    other = changes(shots, rig, told, leds)
+    other = changes(shots, rig, summaries, leds)
     if other:
         raise CaptureError(
             shots.root,
@@ -146,7 +146,7 @@ def take_poses(
 
     Args:
         kind: which.
-        shots: begun, or gone on with.
+        shots: begun, or resumed.
         rig: the stage.
         take: the capture.
         assistant: asked before each pose, and about poses that do not do.
@@ -155,8 +155,8 @@ def take_poses(
 
     Raises:
         CaptureError: stopped before the end, or a pose did not do `takes_per_pose` times; what was
-            taken is kept, and can be gone on with.
-        LightstageError: what the capture of a pose says.
+            taken is kept, and can be resumed.
+        LightstageError: from the capture of a pose.
     """
     again = now = 0
     count = shots.file.poses_wanted
@@ -167,7 +167,7 @@ def take_poses(
             continue
         failed: list[Sequence[Finding]] = []
         while True:
-            if not assistant.ready(index + 1, count, kind.asks(rig, index)):
+            if not assistant.ready(index + 1, count, kind.instruction(rig, index)):
                 raise _stopped(shots, index, failed)
             folder = _folder(shots, index)
             take(shots.root / folder, shots.file.patterns, kind.drive)
@@ -193,7 +193,7 @@ def take_poses(
 
 
 def _folder(shots: Shots, index: int) -> str:
-    """The folder for a pose's next session, noted before it is made; an unfinished one goes on."""
+    """The folder of a pose's next session, noted before it is made; an unfinished one resumes."""
     takes = dict(shots.file.takes)
     number = takes.get(str(index), 0)
     if number and not (shots.root / _name(index, number) / "session.json").exists():
@@ -230,7 +230,7 @@ def _stopped(shots: Shots, index: int, failed: Sequence[Sequence[Finding]]) -> C
     found, expected = f"stopped after {done} of {counted(count, 'pose')}", "all poses"
     if not failed:
         return CaptureError(shots.root, found=found, expected=expected)
-    reasons, wanted, hints = told_together(failed)
+    reasons, wanted, hints = joined(failed)
     takes = counted(len(failed), "take")
     return CaptureError(
         shots.root,

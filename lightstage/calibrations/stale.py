@@ -24,12 +24,12 @@ from lightstage.leds.controller import Hello
 from lightstage.rig import MEASURED_WITH, Rig, rig_sha256
 
 MANY = 3
-"""More cameras, or values of one setting, than this are told by their number."""
+"""Only the number is reported of more cameras, or values of one setting, than this."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Used:
-    """What a session is told of its lab's calibration shots.
+    """What a session learns of its lab's calibration shots.
 
     Attributes:
         findings: one for each kind that is missing or no longer holds, with all its reasons:
@@ -46,18 +46,18 @@ class Used:
 def use_calibrations(
     lab: Path,
     rig: Rig,
-    told: Mapping[str, Summary],
+    summaries: Mapping[str, Summary],
     leds: Hello,
     allow_stale: Collection[str] = (),
     config: CalibrationConfig | None = None,
     now: datetime.datetime | None = None,
 ) -> Used:
-    """What `lightstage capture --calibration LAB --allow-stale KIND` asks before a light goes on.
+    """What `lightstage capture --calibration LAB --allow-stale KIND` checks before a light goes on.
 
     Args:
         lab: the lab's folder.
         rig: the session's.
-        told: camera id to what it tells now.
+        summaries: by camera id, as they are now.
         leds: the LED device.
         allow_stale: kinds that may be missing or stale; what is so is a warning then.
         config: which kinds are wanted.
@@ -75,7 +75,7 @@ def use_calibrations(
     facts: dict[str, dict[str, Any]] = {}
     for name in config.wanted:
         allowed = name in allow_stale
-        own = _findings(lab, KINDS[name], rig, told, leds, now, config, allowed)
+        own = _findings(lab, KINDS[name], rig, summaries, leds, now, config, allowed)
         findings += own
         shots = latest(lab, name)
         if shots is None:
@@ -94,7 +94,7 @@ def use_calibrations(
 def stale(
     lab: Path,
     rig: Rig,
-    told: Mapping[str, Summary],
+    summaries: Mapping[str, Summary],
     leds: Hello,
     now: datetime.datetime,
     config: CalibrationConfig,
@@ -103,11 +103,11 @@ def stale(
 
     Arguments as in `use_calibrations`; every finding has severity `refuse`.
     """
-    return use_calibrations(lab, rig, told, leds, (), config, now).findings
+    return use_calibrations(lab, rig, summaries, leds, (), config, now).findings
 
 
 def changes(
-    shots: Shots, rig: Rig, told: Mapping[str, Summary], leds: Hello
+    shots: Shots, rig: Rig, summaries: Mapping[str, Summary], leds: Hello
 ) -> list[tuple[str, str, str]]:
     """What of the stage is another than when the shots were taken: code, found, expected."""
     kind = KINDS[shots.file.kind]
@@ -116,23 +116,23 @@ def changes(
     if shots.file.rig_sha256 not in (rig_sha256(rig), rig.more.get(MEASURED_WITH)):
         out.append(("rig-changed", "another rig.json", "the one with which they were taken"))
     cameras = shots.file.devices.cameras
-    new = [camera_id for camera_id in told if camera_id not in cameras]
+    new = [camera_id for camera_id in summaries if camera_id not in cameras]
     if new:
         out.append(("camera-new", f"no photographs of {', '.join(new)}", "some of every camera"))
     for name in kind.settings:
         other: dict[tuple[str | None, str | None], list[str]] = {}
-        for camera_id, summary in told.items():
+        for camera_id, summary in summaries.items():
             values = getattr(summary, name), cameras.get(camera_id, {}).get(name)
             if camera_id in cameras and values[0] != values[1]:
                 other.setdefault(values, []).append(camera_id)
         code = "camera-changed" if name in ("serial", "model") else "setting-changed"
         if len(other) > MANY:
             own = [camera_id for each in other.values() for camera_id in each]
-            found = f"{_named(own, told)} with another {name.replace('_', ' ')}"
+            found = f"{_named(own, summaries)} with another {name.replace('_', ' ')}"
             out.append((code, found, "those of then"))
             continue
         out += [
-            (code, f"{_named(own, told)} with {_value(name, now)}", _value(name, was))
+            (code, f"{_named(own, summaries)} with {_value(name, now)}", _value(name, was))
             for (now, was), own in other.items()
         ]
     firmware = shots.file.devices.leds.get("firmware")
@@ -147,7 +147,7 @@ def _findings(
     lab: Path,
     kind: Kind,
     rig: Rig,
-    told: Mapping[str, Summary],
+    summaries: Mapping[str, Summary],
     leds: Hello,
     now: datetime.datetime,
     config: CalibrationConfig,
@@ -158,7 +158,7 @@ def _findings(
     hint = (
         f"Allowed; {kind.gives} may be wrong in this session."
         if allowed
-        else f"{again}, or go on without {kind.gives} (--allow-stale {kind.name})."
+        else f"{again}, or continue without {kind.gives} (--allow-stale {kind.name})."
     )
 
     def finding(code: str, found: str, expected: str) -> Finding:
@@ -167,8 +167,8 @@ def _findings(
     shots = latest(lab, kind.name)
     if shots is None:
         _, damaged = lab_shots(lab)
-        said = f" ({one_error(damaged)})" if damaged else ""
-        return [finding("calibration-missing", f"no finished shots in {lab}{said}", "some")]
+        reason = f" ({one_error(damaged)})" if damaged else ""
+        return [finding("calibration-missing", f"no finished shots in {lab}{reason}", "some")]
     where = shots.root.name
     age = shots.file.age_days(now)
     if age < -config.clock_slack_s / 86400:
@@ -186,12 +186,12 @@ def _findings(
         reasons.append(
             ("calibration-expired", f"{where}, {duration(age)} old", f"at most {duration(held)}")
         )
-    changed = changes(shots, rig, told, leds)
+    changed = changes(shots, rig, summaries, leds)
     if changed:
         codes, found, expected = zip(*changed, strict=True)
         code = codes[0] if len(set(codes)) == 1 else "stage-changed"
-        said = f"{'; '.join(found)}, since {where}"
-        reasons.append((code, said, "; ".join(dict.fromkeys(expected))))
+        reason = f"{'; '.join(found)}, since {where}"
+        reasons.append((code, reason, "; ".join(dict.fromkeys(expected))))
     problems: list[LightstageError] = shots.changed()
     if problems:
         reasons.append(("calibration-damaged", str(one_error(problems)), f"{where} unchanged"))
@@ -210,12 +210,12 @@ def duration(days: float) -> str:
     return f"{hours:.0f} hours" if hours >= 2 else counted(round(hours * 60), "minute")
 
 
-def _named(own: Collection[str], told: Collection[str]) -> str:
+def _named(own: Collection[str], summaries: Collection[str]) -> str:
     """Cameras by their ids, or by their number where they are more than three."""
     if len(own) <= MANY:
         return ", ".join(own)
-    return f"all {len(own)} cameras" if len(own) == len(told) else f"{len(own)} cameras"
+    return f"all {len(own)} cameras" if len(own) == len(summaries) else f"{len(own)} cameras"
 
 
 def _value(name: str, value: str | None) -> str:
-    return f"{name.replace('_', ' ')} {value if value is not None else 'not told'}"
+    return f"{name.replace('_', ' ')} {value if value is not None else 'not known'}"

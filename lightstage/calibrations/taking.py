@@ -59,7 +59,7 @@ class SessionTaker:
         self._operator = operator
 
     def __call__(self, root: Path, patterns: Sequence[str], drive: Drive) -> None:
-        """Take all patterns into `root`, or go on with what lies in it; dark afterwards.
+        """Take all patterns into `root`, or resume what is in it; dark afterwards.
 
         Raises:
             LightstageError: as a capture does; what was taken is kept in `root`.

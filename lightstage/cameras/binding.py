@@ -74,9 +74,9 @@ def find_cameras(
         taken = {entry.port for entry in entries.values()}
         free = [port for _, port in detect(open_s) if port not in taken]
         probes = [make(f"at {port}", port, None, deadline_s, None) for port in free]
-        told, problems = try_cameras(probes)
+        summaries, problems = try_cameras(probes)
         close_cameras(probes)
-        here = [(probe.port, told[probe.id]) for probe in probes if probe.id in told]
+        here = [(probe.port, summaries[probe.id]) for probe in probes if probe.id in summaries]
         bound, unbound = bind_by_serial(searched, here)
         problems += unbound
         if problems:
@@ -104,20 +104,22 @@ def connect_problems(
     Args:
         wanted: the rig's, in the order of `cameras`.
         cameras: not yet open.
-        allow_unverifiable: names that a camera may be unable to tell.
+        allow_unverifiable: names that a camera may be unable to report.
         moved: is given the cameras that were found at another port than their own; without it
             no other port is tried.
 
     Returns:
-        What each camera tells, by its id, and every problem.
+        What each camera reports, by its id, and every problem.
     """
     results = _attempts(cameras)
     if moved is not None:
         moved += _find_moved(wanted, cameras, results)
-    told, problems = _parted(results)
-    opened = [camera for camera in wanted if camera.id in told]
-    problems += summary_problems(opened, [told[camera.id] for camera in opened], allow_unverifiable)
-    return told, problems
+    summaries, problems = _parted(results)
+    opened = [camera for camera in wanted if camera.id in summaries]
+    problems += summary_problems(
+        opened, [summaries[camera.id] for camera in opened], allow_unverifiable
+    )
+    return summaries, problems
 
 
 def _made(
@@ -134,7 +136,7 @@ def try_cameras(
 
 
 def _attempts(cameras: Sequence[CameraDevice]) -> dict[str, Summary | LightstageError]:
-    """What each camera told when it was opened, or why it was not, by its id."""
+    """Each camera's summary when it was opened, or why it was not, by its id."""
 
     def attempt(camera: CameraDevice) -> Summary | LightstageError:
         try:
@@ -146,15 +148,15 @@ def _attempts(cameras: Sequence[CameraDevice]) -> dict[str, Summary | Lightstage
         return {}
     with ThreadPoolExecutor(len(cameras)) as pool:
         results = pool.map(attempt, cameras)
-        return {camera.id: told for camera, told in zip(cameras, results, strict=True)}
+        return {camera.id: summaries for camera, summaries in zip(cameras, results, strict=True)}
 
 
 def _parted(
     results: Mapping[str, Summary | LightstageError],
 ) -> tuple[dict[str, Summary], list[LightstageError]]:
     """The summaries by id, and the errors."""
-    told = {name: result for name, result in results.items() if isinstance(result, Summary)}
-    return told, [each for each in results.values() if isinstance(each, LightstageError)]
+    summaries = {name: result for name, result in results.items() if isinstance(result, Summary)}
+    return summaries, [each for each in results.values() if isinstance(each, LightstageError)]
 
 
 def _find_moved(
@@ -164,8 +166,8 @@ def _find_moved(
 ) -> list[Moved]:
     """Look at the other ports for cameras that are not at their own; `results` is set right.
 
-    One in whose place another camera of the rig stands is not looked for: `summary_problems` tells
-    of it, since the bodies themselves may have been exchanged on the stage. One that is nowhere
+    One in whose place another camera of the rig is, is not searched for: `summary_problems` names
+    it, since the bodies themselves may have been exchanged on the stage. One that is nowhere
     keeps its result.
     """
     own = {camera.serial for camera in wanted}
@@ -174,7 +176,7 @@ def _find_moved(
         result = results[camera.id]
         there = result.serial if isinstance(result, Summary) else None
         right = isinstance(result, Summary) and (there is None or there in own)
-        # A virtual camera tells no serial number.
+        # A virtual camera reports no serial number.
         if right or not isinstance(device, CameraProcess) or device.virtual_folder is not None:
             continue
         device.close()
@@ -195,8 +197,8 @@ def open_cameras(
     cameras: Sequence[CameraDevice],
 ) -> tuple[list[Summary], list[LightstageError]]:
     """Open cameras, all at once; the summaries, or the errors of all that failed."""
-    told, problems = try_cameras(cameras)
-    return list(told.values()), problems
+    summaries, problems = try_cameras(cameras)
+    return list(summaries.values()), problems
 
 
 def close_cameras(cameras: Sequence[CameraDevice]) -> None:

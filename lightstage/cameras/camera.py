@@ -12,7 +12,7 @@ FREE_CARD = "Copy its photographs away and format it, or put a larger card in."
 
 @dataclasses.dataclass(frozen=True)
 class Summary:
-    """What a camera tells about itself, as it says it; None where it cannot tell.
+    """A camera's own report of its settings; None where it cannot report one.
 
     Attributes:
         serial: of the body.
@@ -54,13 +54,13 @@ class Summary:
     place: str | None = None
     lens: str | None = None
 
-    def untold(self) -> list[str]:
-        """Names of what the camera cannot tell."""
+    def not_readable(self) -> list[str]:
+        """Names of what the camera cannot report."""
         return [name for name in VERIFIABLE if getattr(self, name) is None]
 
 
 VERIFIABLE = tuple(f.name for f in dataclasses.fields(Summary) if f.name != "lens")
-"""What a camera is asked to tell about itself. What one cannot tell must be allowed by name."""
+"""Settings that a camera must report. What one cannot report must be allowed by name."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)  # a capture remembers very many
@@ -69,7 +69,7 @@ class CardFile:
 
     Attributes:
         name: the whole path on the card; a name may come again after the card was emptied.
-        size: bytes, as the camera says.
+        size: bytes, as the camera reports it.
     """
 
     name: str
@@ -78,12 +78,12 @@ class CardFile:
 
 @dataclasses.dataclass(frozen=True)
 class Exposure:
-    """One shot that lies on the card.
+    """One shot that is on the card.
 
     Attributes:
         files: of this shot alone; the RAW first where there is one.
         triggered_s: time.monotonic() just before the trigger, comparable between processes.
-        exposed_s: when the camera said that the picture was there.
+        exposed_s: when the camera reported that the photograph was there.
     """
 
     files: tuple[CardFile, ...]
@@ -114,7 +114,7 @@ class CameraDriver(Protocol):
     """
 
     def open(self) -> Summary:
-        """Connect, and say what the camera tells about itself."""
+        """Connect, and return the camera's summary."""
 
     def summary(self) -> Summary:
         """The same, read anew."""
@@ -150,13 +150,13 @@ class CameraDevice(Protocol):
         """The rig's name for it."""
 
     def open(self) -> Summary:
-        """Connect, and say what the camera tells about itself."""
+        """Connect, and return the camera's summary."""
 
     def restart(self) -> Summary:
         """End the process, find the same body again by its serial number, and connect."""
 
     def summary(self) -> Summary:
-        """What the camera tells about itself, read anew."""
+        """The camera's summary, read anew."""
 
     def change(self, name: str, value: str) -> None:
         """Set a field of Summary by its name."""

@@ -1,4 +1,4 @@
-"""The cameras file: where each camera is, what it shall tell, and what may stay unverified."""
+"""The cameras file: where each camera is, what it must report, and what may stay unverified."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class CameraEntry:
         virtual_folder: folder of libgphoto2's virtual camera.
         driver: ``package.module:name``, called with the port, of a camera that is not
             libgphoto2's.
-        expect: what this camera must tell, by Summary's names, over what all must.
+        expect: what this camera must report, by Summary's names, over what all must.
     """
 
     port: str | None = None
@@ -38,8 +38,8 @@ class CamerasFile:
     """The cameras file.
 
     Attributes:
-        allow_unverifiable: names of what a camera may be unable to tell (of VERIFIABLE).
-        expect: what every camera must tell, by Summary's names.
+        allow_unverifiable: names of what a camera may be unable to report (of VERIFIABLE).
+        expect: what every camera must report, by Summary's names.
         cameras: camera id to where it is.
     """
 
@@ -56,7 +56,7 @@ def read_cameras_file(path: Path) -> CamerasFile:
             found="no such file",
             expected="a cameras file (TOML)",
             hint="Without --cameras, cameras are found by their serial numbers; the simulated "
-            "stage prints where its file lies.",
+            "stage prints where its file is.",
         )
     values = read_toml(path)
     file = make_config(CamerasFile, values, path)

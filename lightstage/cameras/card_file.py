@@ -20,10 +20,10 @@ from lightstage.errors import CaptureError
 
 PIECE_BYTES = 1 << 20
 SHOT: contextvars.ContextVar[tuple[str, str]] = contextvars.ContextVar("SHOT", default=("*", "*"))
-"""Pattern and camera whose photograph it is, as the worker was told: for the step's name."""
+"""Pattern and camera whose photograph it is, as the worker received them: for the step's name."""
 HINTS = {
     errno.ENOSPC: "The disk is full: free some room, then take the photograph again.",
-    errno.EDQUOT: "Your share of the disk is used up: free some room, then go on.",
+    errno.EDQUOT: "Your share of the disk is used up: free some room, then continue.",
     errno.EFBIG: "The disk or this user's limits take no file of this size.",
     errno.EROFS: "The disk cannot be written to: was it mounted again after an error?",
     errno.EACCES: "This user may not write there.",
@@ -50,7 +50,7 @@ def write_card_file(path: Path, size: int, source: Iterable[bytes | memoryview])
 
     Args:
         path: which must not exist; its folder must.
-        size: bytes, as the camera says; what comes may be less or more, and is told.
+        size: bytes, as the camera reports it; what comes may be less or more, and is reported.
         source: the bytes in order; what it raises passes.
 
     Returns:
@@ -89,7 +89,7 @@ def write_card_file(path: Path, size: int, source: Iterable[bytes | memoryview])
 
 @contextlib.contextmanager
 def _disk(path: Path, size: int) -> Iterator[None]:
-    """Say what the disk says in plain words."""
+    """The disk's error in plain words."""
     try:
         yield
     except OSError as error:

@@ -19,7 +19,7 @@ from lightstage.printable import printable
 
 STDERR_BYTES = 1 << 16
 LONGEST_SAID = 2000
-"""Characters of each part of an error that a driver tells."""
+"""Characters of each part of an error that a driver reports."""
 GRACE_S = 2.0
 """So long a child may take to let go of its camera when it is closed."""
 DEATH_S = 0.5
@@ -87,8 +87,8 @@ class Child:
             deadline_s: seconds after which the child is killed.
 
         Raises:
-            DeviceError: an error of the camera that the child tells, its death, or the deadline.
-            CaptureError: an error of this computer's disk that the child tells.
+            DeviceError: an error of the camera that the child reports, its death, or the deadline.
+            CaptureError: an error of this computer's disk that the child reports.
         """
         doing = str(command["command"])
         until = time.monotonic() + deadline_s
@@ -115,9 +115,9 @@ class Child:
             if reply is None:
                 raise self._died(doing, "its process ended")
         if "error" in reply:
-            told = {name: printable(text, LONGEST_SAID) for name, text in reply["error"].items()}
-            kind = CaptureError if told.pop("kind") == "disk" else DeviceError
-            raise kind(f"{self.name} ({told.pop('where')})", **told)
+            fields = {name: printable(text, LONGEST_SAID) for name, text in reply["error"].items()}
+            kind = CaptureError if fields.pop("kind") == "disk" else DeviceError
+            raise kind(f"{self.name} ({fields.pop('where')})", **fields)
         return reply
 
     def kill(self) -> None:
@@ -160,7 +160,7 @@ class Child:
                 taken += piece
         return bytes(taken)
 
-    def _died(self, doing: str, said: str) -> DeviceError:
+    def _died(self, doing: str, state: str) -> DeviceError:
         """Its death as an error; `_turn` is held."""
         self._ended_within(DEATH_S)
         self._end()
@@ -168,7 +168,7 @@ class Child:
         return DeviceError(
             self.name,
             field=doing,
-            found=f"{said}, exit status {self._child.returncode}"
+            found=f"{state}, exit status {self._child.returncode}"
             + (f", {printable(lines[0])}" if lines else ""),
             expected="an answer",
             hint="Switch the camera off and on, then try again.",

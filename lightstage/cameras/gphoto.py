@@ -83,16 +83,16 @@ class GphotoCamera:
             )
         self._link.connect()
         widgets.keep_on_card(self._link)
-        told = self.summary()
+        found = self.summary()
         self._events.drain(self._link)
-        return told
+        return found
 
     def summary(self) -> Summary:
-        """What the camera tells, read anew."""
+        """The camera's summary, read anew."""
         link = self._link
-        told = link.again("summary", lambda: widgets.read_summary(link, self._serial()))
-        self._wanted = known.files_of_a_shot(told.image_format)
-        return told
+        found = link.again("summary", lambda: widgets.read_summary(link, self._serial()))
+        self._wanted = known.files_of_a_shot(found.image_format)
+        return found
 
     def change(self, name: str, value: str) -> None:
         """Set a field of Summary and read it back; the clock by the offset that it is to have."""
@@ -110,8 +110,8 @@ class GphotoCamera:
     def trigger(self, at_s: float) -> Exposure:
         """Trigger at a time and wait for this shot's files.
 
-        A trigger is repeated only where the camera said that it was busy, so that none was taken.
-        Files that could be of an earlier shot too are refused: they stay on the card.
+        A trigger is repeated only where the camera reported that it was busy, so that none was
+        taken. Files that could be of an earlier shot too are refused: they stay on the card.
         """
         library, link = self._link.library, self._link
         operations = link.camera.get_abilities().operations
@@ -147,12 +147,12 @@ class GphotoCamera:
                 self.port,
                 field=name,
                 found=counted(len(data), "byte"),
-                expected=f"{size} bytes, as the camera says",
+                expected=f"{size} bytes, as the camera reports",
                 hint="The download was cut; check the cable.",
             )
         got = write_card_file(path, size, pieces(data))
         del data, file
-        self._events.drain(link)  # what is said of this shot is not taken for the next one's
+        self._events.drain(link)  # events of this shot are not taken for the next one's
         return got
 
     def delete(self, name: str) -> None:
@@ -164,7 +164,7 @@ class GphotoCamera:
         self._link.close()
 
     def _serial(self) -> str | None:
-        # The virtual camera says 0.1 whichever it is: it cannot tell.
+        # The virtual camera reports 0.1 whichever it is: it cannot know.
         if "VCAMERADIR" in os.environ:
             return None
         return widgets.read_text(self._link, "serial")

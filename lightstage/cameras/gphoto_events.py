@@ -1,4 +1,4 @@
-"""Which files are this shot's: what libgphoto2's cameras say, late, twice or in another order."""
+"""Which files are this shot's: libgphoto2's cameras report them late, twice or in another order."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LONGEST_WAIT_MS = 250
 class Events:
     """The queue of events of one connection.
 
-    A file is a shot's when it is told after its trigger and was not known before. After a shot
+    A file is a shot's when it is reported after its trigger and was not known before. After a shot
     that did not give all its files (`owed`), some of them may still come: the next one listens
     until the camera is quiet, and refuses more than one shot can have made.
     """
@@ -39,7 +39,7 @@ class Events:
             try:
                 kind, data = link.camera.wait_for_event(DRAIN_MS)
             except link.library.GPhoto2Error:
-                return  # the command that follows says what is wrong
+                return  # the command that follows reports what is wrong
             if kind == link.library.GP_EVENT_FILE_ADDED:
                 self._known.add(joined(data))
             if kind == link.library.GP_EVENT_TIMEOUT:
@@ -48,11 +48,11 @@ class Events:
     def files_of_shot(
         self, link: Link, first: str | None, wanted: int
     ) -> tuple[tuple[str, ...], float]:
-        """Names of the shot's files, RAW first, and when the camera told of the first.
+        """Names of the shot's files, RAW first, and when the camera reported the first.
 
         Args:
             link: the camera, triggered.
-            first: file that the trigger itself told.
+            first: file that the trigger itself reported.
             wanted: how many files one shot makes.
 
         Raises:
@@ -68,7 +68,7 @@ class Events:
             if (complete or quiet) and len(names) >= wanted and (quiet or not strict):
                 break
             if complete and quiet and names:
-                break  # it makes fewer files than its settings say
+                break  # it makes fewer files than by its settings
             kind, data = self._next(link, until)
             if kind == link.library.GP_EVENT_FILE_ADDED:
                 name = joined(data)

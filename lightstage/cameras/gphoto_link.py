@@ -28,15 +28,15 @@ HINTS = {
 
 @dataclasses.dataclass(frozen=True)
 class Patience:
-    """How long the driver bears what passes by itself; the process's deadline stands above it.
+    """How long the driver bears what passes by itself; the process's deadline is longer.
 
     Attributes:
         claimed_tries: openings while another program has the camera.
         claimed_pause_s: between them.
         busy_s: of repeating a command while the camera is busy.
         event_s: of waiting for a shot's files.
-        quiet_s: without an event after which a shot is complete though the camera did not say so,
-            or that a file which is still missing may take.
+        quiet_s: without an event after which a shot is complete though the camera did not report
+            it, or that a file which is still missing may take.
         drain_s: longest of emptying the queue of events.
     """
 
@@ -55,8 +55,8 @@ class Link:
         library: the module gphoto2.
         port: such as ``usb:001,004``.
         patience: with what passes by itself.
-        drain: empties the queue of events; a busy camera is one that has something to say.
-        serial: what the camera says of its serial number, asked after each connection.
+        drain: empties the queue of events; a busy camera is one that has events to report.
+        serial: the camera's report of its serial number, read after each connection.
     """
 
     def __init__(

@@ -24,14 +24,14 @@ NAMES = {
     "copyright": ("copyright",),
     "lens": ("lensname",),
 }
-"""Field of Summary to names, the better one first. No camera tells whether it writes its place."""
+"""Field of Summary to names, the better one first. No camera reports if it writes its place."""
 
 TEXTS = tuple(name for name in NAMES if name not in ("serial", "battery_percent", "clock_offset_s"))
-"""Fields that are told as the camera says them."""
+"""Fields that are passed on as the camera reports them."""
 MAY_BE_EMPTY = ("owner", "artist", "copyright")
 """Fields for which an empty text is an answer."""
 AUTO_ISO = ("isoauto", "autoiso")
-"""Where it is on, the ISO that is told is only where the camera begins."""
+"""Where it is on, the ISO that is reported is only where the camera begins."""
 TARGET, CARD = "capturetarget", "card"
 """Where photographs go, and what the wanted choice has in its name."""
 
@@ -79,5 +79,5 @@ def percent(text: str) -> float | None:
 
 
 def is_on(text: str) -> bool:
-    """Whether a switch is on, as makers say it."""
+    """Whether a switch is on, in makers' words."""
     return text.strip().lower() in ("on", "1", "true", "yes")

@@ -14,7 +14,7 @@ from lightstage.errors import DeviceError
 
 
 def read_summary(link: Link, serial: str | None) -> Summary:
-    """What the camera tells; the library's errors pass, so that the whole may be asked again.
+    """The camera's summary; the library's errors pass, so that the whole may be read again.
 
     Args:
         link: the camera, connected.
@@ -36,7 +36,7 @@ def read_summary(link: Link, serial: str | None) -> Summary:
 
 
 def read_text(link: Link, name: str) -> str | None:
-    """What the camera says of a field of Summary; None where it has no such setting."""
+    """The camera's value of a field of Summary; None where it has no such setting."""
     return _first(link, known.NAMES[name], name in known.MAY_BE_EMPTY)
 
 
@@ -91,7 +91,7 @@ def keep_on_card(link: Link) -> None:
 
 
 def _first(link: Link, names: tuple[str, ...], may_be_empty: bool = False) -> str | None:
-    """Value of the first of these settings that the camera has, and that says something."""
+    """Value of the first of these settings that the camera has, and that is not empty."""
     for _, widget in _widgets(link, names):
         value = str(widget.get_value() or "").strip()
         if value or may_be_empty:
@@ -120,7 +120,7 @@ def _clock_offset_s(link: Link) -> float | None:
 
 
 def _free_bytes(link: Link) -> int | None:
-    """Room on the fullest of its cards: which one it writes to, it does not say."""
+    """Room on the fullest of its cards: it does not report which one it writes to."""
     library = link.library
     try:
         stores = link.camera.get_storageinfo()

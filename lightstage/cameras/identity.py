@@ -64,25 +64,25 @@ def binding_problems(rig: Rig, file: CamerasFile) -> list[LightstageError]:
 
 
 def summary_problems(
-    cameras: Sequence[Camera], told: Sequence[Summary], allow_unverifiable: Sequence[str]
+    cameras: Sequence[Camera], summaries: Sequence[Summary], allow_unverifiable: Sequence[str]
 ) -> list[LightstageError]:
-    """Where cameras contradict the rig or each other, or cannot tell who they are, unallowed.
+    """Where cameras contradict the rig or each other, or cannot identify themselves, unallowed.
 
     Args:
-        cameras: the rig's, in the order of `told`.
-        told: what the devices tell.
-        allow_unverifiable: names that a camera may be unable to tell.
+        cameras: the rig's, in the order of `summaries`.
+        summaries: as the devices report them.
+        allow_unverifiable: names that a camera may be unable to report.
     """
     owners = {camera.serial: camera.id for camera in cameras}
     found_at = {
         camera.id: owners[summary.serial]
-        for camera, summary in zip(cameras, told, strict=True)
+        for camera, summary in zip(cameras, summaries, strict=True)
         if summary.serial in owners
     }
     rounds = _exchanged(found_at)
     exchanged = {camera_id for one in rounds for camera_id in one}
     problems: list[LightstageError] = [_swap(one) for one in rounds]
-    for camera, summary in zip(cameras, told, strict=True):
+    for camera, summary in zip(cameras, summaries, strict=True):
         for name, wanted in (("serial", camera.serial), ("model", camera.model)):
             found = getattr(summary, name)
             if found is None or found == wanted or camera.id in exchanged:
@@ -106,15 +106,15 @@ def summary_problems(
                 DeviceError(
                     f"camera {camera.id}",
                     field=", ".join(refused),
-                    found="not verifiable: the camera cannot tell",
-                    expected="a camera that tells, or the name in allow_unverifiable",
+                    found="not verifiable: the camera cannot report it",
+                    expected="a camera that reports it, or the name in allow_unverifiable",
                     hint="Allow it in the cameras file if you made sure by eye.",
                 )
             )
-    serials = collections.Counter(s.serial for s in told if s.serial is not None)
+    serials = collections.Counter(s.serial for s in summaries if s.serial is not None)
     for serial, count in serials.items():
         if count > 1:
-            ids = [c.id for c, s in zip(cameras, told, strict=True) if s.serial == serial]
+            ids = [c.id for c, s in zip(cameras, summaries, strict=True) if s.serial == serial]
             problems.append(
                 DeviceError(
                     f"cameras {', '.join(ids)}",
@@ -127,7 +127,7 @@ def summary_problems(
 
 
 def _exchanged(found_at: dict[str, str]) -> list[list[str]]:
-    """Rounds of cameras of which each stands where the next one should.
+    """Rounds of cameras of which each is where the next one should be.
 
     Args:
         found_at: a camera's id to that of the camera which is in its place; own places too.
@@ -169,7 +169,7 @@ def bind_by_serial(
 
     Args:
         wanted: cameras of the rig without a port.
-        candidates: port and what the camera there tells.
+        candidates: port and the summary of the camera there.
 
     Returns:
         Camera id to port, and one error for each camera that is missing, unknown or there twice.
@@ -198,7 +198,7 @@ def bind_by_serial(
             DeviceError(
                 f"port {', '.join(unknown)}",
                 field="serial",
-                found=serial or "a camera that cannot tell it",
+                found=serial or "a camera that cannot report it",
                 expected="a serial number of rig.json",
                 hint="Add the camera to the rig, unplug it, or give its port in the cameras file.",
             )

@@ -24,5 +24,5 @@ def end_with(handle: int) -> None:
     fcntl.fcntl(handle, fcntl.F_SETOWN, os.getpid())
     fcntl.fcntl(handle, fcntl.F_SETSIG, signal.SIGKILL)
     fcntl.fcntl(handle, fcntl.F_SETFL, fcntl.fcntl(handle, fcntl.F_GETFL) | os.O_ASYNC)
-    if select.select([handle], [], [], 0)[0]:  # it was closed before we asked to be told
+    if select.select([handle], [], [], 0)[0]:  # it was closed before the signal was set up
         os._exit(1)

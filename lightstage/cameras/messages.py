@@ -36,7 +36,7 @@ def read(take: Callable[[int], bytes]) -> dict[str, Any] | None:
         The JSON; None where the stream ends before the message does.
 
     Raises:
-        ValueError: what stands there is no message.
+        ValueError: the bytes are no message.
     """
     header = take(_HEADER.size)
     if len(header) < _HEADER.size:

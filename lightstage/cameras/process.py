@@ -54,7 +54,7 @@ class Deadlines:
 LONGEST_NAME = 1000
 """Characters of a file's path on a card."""
 UNKNOWN_BYTES = 100_000_000
-"""Taken for the size of a file of which the camera has not told it."""
+"""Taken for the size of a file of which the camera has not reported it."""
 PAUSE_S = 0.2
 """Between two looks for a camera that is not there."""
 
@@ -107,15 +107,15 @@ class CameraProcess:
         self.close()
         self._closed = False
         self._serial = None
-        told = self._open_at(self.port, self.deadlines.open_s)
-        self._serial = told.serial
-        return told
+        summary = self._open_at(self.port, self.deadlines.open_s)
+        self._serial = summary.serial
+        return summary
 
     def restart(self) -> Summary:
         """End the process, find the same body again, and connect.
 
-        A body that told its serial number is looked for at every port, its own first: a cable may
-        be in another socket now. One that cannot tell it is looked for at its port alone. One
+        A body that reported its serial number is searched at every port, its own first: a cable may
+        be in another socket now. One that cannot report it is searched at its port alone. One
         that is away is waited for.
 
         Raises:
@@ -130,20 +130,20 @@ class CameraProcess:
         """Connect to the body with `_serial`, which may be away for some seconds."""
         absent_until = time.monotonic() + absent_s
         until = absent_until + self.deadlines.open_s
-        said: dict[str, str] = {}
+        answers: dict[str, str] = {}
         while not self._closed:
             for port in self._candidates(until):
                 # Half of what is left: one port that hangs must not hide the others.
                 left_s = max(PAUSE_S, 0.5 * (until - time.monotonic()))
                 try:
-                    told = self._open_at(port, left_s, patient=False)
+                    summary = self._open_at(port, left_s, patient=False)
                 except LightstageError as error:
-                    said[port] = str(error)
+                    answers[port] = str(error)
                     continue
-                if told.serial == self._serial:
+                if summary.serial == self._serial:
                     self.port = port
-                    return told
-                said[port] = f"{port}: found serial {told.serial}"
+                    return summary
+                answers[port] = f"{port}: found serial {summary.serial}"
                 self._end_child()
             if time.monotonic() + PAUSE_S >= absent_until:
                 break
@@ -152,7 +152,7 @@ class CameraProcess:
         raise DeviceError(
             f"camera {self.id}",
             field="restart",
-            found="; ".join([*said.values(), *["closed"] * self._closed])
+            found="; ".join([*answers.values(), *["closed"] * self._closed])
             or "no camera at any port",
             expected=known,
             hint="Check its cable, power and battery.",
@@ -172,7 +172,7 @@ class CameraProcess:
         return self._search(0.0)
 
     def summary(self) -> Summary:
-        """What the camera tells about itself, read anew."""
+        """The camera's summary, read anew."""
         return _summary(self._ask({"command": "summary"}, self.deadlines.other_s))
 
     def change(self, name: str, value: str) -> None:
@@ -303,8 +303,8 @@ def _ports(
 
 
 def _summary(reply: dict[str, Any]) -> Summary:
-    """What a camera tells; its texts are shown, so they are made printable here."""
-    told: dict[str, Any] = {
+    """A camera's summary; its texts are shown, so they are made printable here."""
+    fields: dict[str, Any] = {
         name: printable(value) if isinstance(value, str) else value for name, value in reply.items()
     }
-    return Summary(**told)
+    return Summary(**fields)

@@ -27,11 +27,11 @@ from lightstage.errors import CaptureError, DeviceError, LightstageError
 def serve(camera_id: str, commands: BinaryIO, replies: BinaryIO) -> None:
     """Answer commands until their stream ends; errors are answers too."""
     serving = _Serving(camera_id)
-    while (asked := messages.read(commands.read)) is not None:
+    while (request := messages.read(commands.read)) is not None:
         try:
-            reply = serving.answer(asked)
+            reply = serving.answer(request)
         except LightstageError as error:
-            reply = {"error": _told(error)}
+            reply = {"error": _error_fields(error)}
         replies.write(messages.pack(reply))
         replies.flush()
     if serving.camera is not None:
@@ -45,17 +45,17 @@ class _Serving:
         self.camera_id = camera_id
         self.camera: CameraDriver | None = None
 
-    def answer(self, asked: dict[str, Any]) -> dict[str, Any]:
+    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """The answer to one command, ready for JSON."""
-        command = asked["command"]
+        command = request["command"]
         if command == "ports":
-            return {"ports": _ports(asked)}
+            return {"ports": _ports(request)}
         if command == "open":
-            self.camera = _driver(asked)
+            self.camera = _driver(request)
             return dataclasses.asdict(self.camera.open())
         if self.camera is None:
             raise DeviceError(self.camera_id, field=command, found="not open", expected="open()")
-        SHOT.set((asked.get("pattern", "*"), self.camera_id))
+        SHOT.set((request.get("pattern", "*"), self.camera_id))
         does: dict[str, Callable[[CameraDriver, dict[str, Any]], dict[str, Any]]] = {
             "summary": lambda camera, _: dataclasses.asdict(camera.summary()),
             "change": _change,
@@ -64,12 +64,12 @@ class _Serving:
             "download": _download,
             "delete": _delete,
         }
-        return does[command](self.camera, asked)
+        return does[command](self.camera, request)
 
 
-def _trigger(camera: CameraDriver, asked: dict[str, Any]) -> dict[str, Any]:
+def _trigger(camera: CameraDriver, request: dict[str, Any]) -> dict[str, Any]:
     steps.step("triggering", *SHOT.get())
-    exposure = camera.trigger(asked["at_s"])
+    exposure = camera.trigger(request["at_s"])
     steps.step("triggered", *SHOT.get())
     return {
         "files": [[file.name, file.size] for file in exposure.files],
@@ -78,25 +78,25 @@ def _trigger(camera: CameraDriver, asked: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _download(camera: CameraDriver, asked: dict[str, Any]) -> dict[str, Any]:
-    got = camera.download(asked["name"], Path(asked["path"]))
+def _download(camera: CameraDriver, request: dict[str, Any]) -> dict[str, Any]:
+    got = camera.download(request["name"], Path(request["path"]))
     steps.step("downloaded", *SHOT.get())
     return dataclasses.asdict(got)
 
 
-def _change(camera: CameraDriver, asked: dict[str, Any]) -> dict[str, Any]:
-    camera.change(asked["name"], asked["value"])
+def _change(camera: CameraDriver, request: dict[str, Any]) -> dict[str, Any]:
+    camera.change(request["name"], request["value"])
     return {}
 
 
-def _delete(camera: CameraDriver, asked: dict[str, Any]) -> dict[str, Any]:
-    camera.delete(asked["name"])
+def _delete(camera: CameraDriver, request: dict[str, Any]) -> dict[str, Any]:
+    camera.delete(request["name"])
     return {}
 
 
-def _class(asked: dict[str, Any]) -> Callable[..., CameraDriver]:
+def _class(request: dict[str, Any]) -> Callable[..., CameraDriver]:
     """libgphoto2's driver, or the one that is named; DeviceError where there is none such."""
-    named = asked["driver"]
+    named = request["driver"]
     if named is None:
         return GphotoCamera
     module, _, name = named.partition(":")
@@ -104,7 +104,7 @@ def _class(asked: dict[str, Any]) -> Callable[..., CameraDriver]:
         made: Callable[..., CameraDriver] = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError) as error:
         raise DeviceError(
-            asked["port"],
+            request["port"],
             field="driver",
             found=str(error),
             expected=f"an installed module {module} with {name}",
@@ -112,28 +112,28 @@ def _class(asked: dict[str, Any]) -> Callable[..., CameraDriver]:
     return made
 
 
-def _driver(asked: dict[str, Any]) -> CameraDriver:
-    if asked["driver"] is not None:
-        return _class(asked)(asked["port"])
-    folder = asked["virtual_folder"]
-    patience = Patience() if asked["patient"] else Patience(claimed_tries=1)
-    return GphotoCamera(asked["port"], Path(folder) if folder else None, patience)
+def _driver(request: dict[str, Any]) -> CameraDriver:
+    if request["driver"] is not None:
+        return _class(request)(request["port"])
+    folder = request["virtual_folder"]
+    patience = Patience() if request["patient"] else Patience(claimed_tries=1)
+    return GphotoCamera(request["port"], Path(folder) if folder else None, patience)
 
 
-def _ports(asked: dict[str, Any]) -> list[list[str]]:
+def _ports(request: dict[str, Any]) -> list[list[str]]:
     """Model and port of what is connected now.
 
     A driver may have a static method ``ports(given)`` that lists them for the port that it was
     given; one without can be only where it was.
     """
-    find = getattr(_class(asked), "ports", None)
+    find = getattr(_class(request), "ports", None)
     if find is None:
-        return [["", asked["port"]]]
-    return [[str(model), str(port)] for model, port in find(asked["port"])]
+        return [["", request["port"]]]
+    return [[str(model), str(port)] for model, port in find(request["port"])]
 
 
-def _told(error: LightstageError) -> dict[str, str]:
-    """An error's parts, so that the parent can say them with the camera's name."""
+def _error_fields(error: LightstageError) -> dict[str, str]:
+    """An error's parts, so that the parent can report them with the camera's name."""
     return {
         "kind": "disk" if isinstance(error, CaptureError) else "camera",
         "where": error.where,

@@ -1,4 +1,4 @@
-"""Cameras that failed and could not be started again: looked for before the next light goes on."""
+"""Cameras that failed and could not be started again: tried before the next light goes on."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ POLL_S = 0.03
 class AbsentCameras:
     """Starts cameras again, and remembers why each failed first until it answers.
 
-    Its process is gone by then, and asking that says nothing about the camera. Several threads may
+    Its process has ended by then, and to ask that shows nothing of the camera. Several threads may
     call, each for a camera of its own.
 
     Args:
@@ -29,7 +29,7 @@ class AbsentCameras:
         self._why: dict[str, DeviceError] = {}
 
     def restart(self, camera: CameraDevice, failure: DeviceError) -> tuple[CardFile, ...]:
-        """Start a camera again; returns what lies on its card.
+        """Start a camera again; returns what is on its card.
 
         Args:
             camera: that failed.

@@ -1,7 +1,7 @@
 """One camera's photograph of one pattern: triggered, found on its card, brought home, kept.
 
 A photograph that was exposed is never given up: a camera that fails afterwards is started again and
-its card is looked at. What lies there and cannot be told for certain is kept as recovered, and the
+its card is read. What is there and cannot be identified for certain is kept as recovered, and the
 camera takes the pattern again.
 """
 
@@ -61,8 +61,8 @@ class Taken:
     Attributes:
         camera: whose.
         triggered_s: time.monotonic() of its trigger.
-        exposed_s: when the camera said that it was there.
-        findings: what a look at it found.
+        exposed_s: when the camera reported that it was there.
+        findings: of its check.
     """
 
     camera: str
@@ -78,9 +78,9 @@ class Photographer:
         rig: the cameras wanted.
         writer: the session.
         checks: looks at each photograph.
-        config: how often a file is asked for, and whether it is deleted on the camera.
-        told: what each camera tells about itself, by its id; what it must go on telling.
-        cards: what lay on each card before, by camera id.
+        config: how often a file is requested, and whether it is deleted on the camera.
+        summaries: each camera's, by its id; it must stay so.
+        cards: what was on each card before, by camera id.
 
     Attributes:
         exposure_times: how long exposures of this session last.
@@ -93,19 +93,19 @@ class Photographer:
         writer: SessionWriter,
         checks: Checks,
         config: CaptureConfig,
-        told: Mapping[str, Summary],
+        summaries: Mapping[str, Summary],
         cards: Mapping[str, Collection[CardFile]],
     ) -> None:
         self._rig = rig
         self._writer = writer
         self._checks = checks
         self._config = config
-        self._told = told
+        self._summaries = summaries
         self._known = {camera_id: set(files) for camera_id, files in cards.items()}
-        self.exposure_times = ExposureTimes(each.shutter for each in told.values())
+        self.exposure_times = ExposureTimes(each.shutter for each in summaries.values())
         self.absent = AbsentCameras(writer)
         believed = config.preflight.believe_camera_clocks
-        self._freshness = Freshness(writer, told, cards, believed)
+        self._freshness = Freshness(writer, summaries, cards, believed)
         # Cameras of which a trigger gave no picture: it may come to the card at any later time.
         self._doubtful: set[str] = set()
 
@@ -177,7 +177,7 @@ class Photographer:
         return _late(
             pattern,
             [
-                *map(_mendable, photograph_findings(path, wanted, self._told[camera_id])),
+                *map(_mendable, photograph_findings(path, wanted, self._summaries[camera_id])),
                 *self._checks.photograph(pattern, camera_id, path),
             ],
         )
@@ -185,14 +185,14 @@ class Photographer:
     def set_back(self, camera: CameraDevice) -> None:
         """Give a camera the settings that it began with, where they drifted."""
         try:
-            done, failed = set_back(camera, self._told[camera.id])
+            done, failed = set_back(camera, self._summaries[camera.id])
         except LightstageError as error:
             done, failed = [], [str(error)]
         for finding in done:
             name = finding.where.rpartition(", ")[2]
             self._writer.note("note", camera=camera.id, said=f"{name} set back")
-        for said in failed:
-            self._writer.note("note", camera=camera.id, said=f"not set back: {said}")
+        for reason in failed:
+            self._writer.note("note", camera=camera.id, said=f"not set back: {reason}")
 
     def _trigger(self, pattern: str, camera: CameraDevice, at_s: float) -> Exposure | DeviceError:
         """Trigger; the exposure, or why there is none."""
@@ -209,7 +209,7 @@ class Photographer:
         """Bring home what came to the card of a camera whose earlier trigger gave no picture."""
         if camera.id not in self._doubtful:
             return
-        # A camera that cannot tell its card now fails at the trigger, and is seen to there.
+        # A camera that cannot list its card now fails at the trigger, and is handled there.
         with contextlib.suppress(DeviceError):
             late = arrived(self._known[camera.id], camera.card())
             self._known[camera.id] |= set(late)
@@ -233,7 +233,7 @@ class Photographer:
         )
         several = len({Path(file.name).stem for file in new}) > 1
         if several or camera.id in self._doubtful:
-            # Which one is this light's, or whether it is an earlier one's, nobody can tell.
+            # Which one is this light's, or whether it is an earlier one's, nobody can know.
             self._bring_home(camera, new, pattern, f"not certain to be of this light: {failure}")
             raise failure
         return Exposure(new, at_s, time.monotonic())
@@ -291,12 +291,14 @@ class Photographer:
         )
 
     def _look(self, pattern: str, camera: CameraDevice, path: Path) -> list[Finding]:
-        """What the photograph shows and tells, and whether the camera is set as before."""
+        """Check the photograph and its header, and whether the camera is set as before."""
         findings = self.look_again(pattern, camera.id, path)
         # A camera that dies now is noticed at its next trigger; this photograph is safe.
         with contextlib.suppress(DeviceError):
-            told = self._told[camera.id]
-            findings += _late(pattern, map(_mendable, drift(told, camera.summary(), camera.id)))
+            summaries = self._summaries[camera.id]
+            findings += _late(
+                pattern, map(_mendable, drift(summaries, camera.summary(), camera.id))
+            )
         for finding in findings:
             self._writer.finding(finding)
         return findings
@@ -314,7 +316,7 @@ class Photographer:
     def _delete(
         self, pattern: str, take: int, camera: CameraDevice, file: CardFile
     ) -> list[Finding]:
-        """Delete a photograph on the camera; what lies beside it, such as a JPEG, stays.
+        """Delete a photograph on the camera; what is beside it, such as a JPEG, stays.
 
         It stays too where photographs are missing on the disk; that is a finding.
         """
@@ -350,8 +352,9 @@ def _mendable(finding: Finding) -> Finding:
     name = finding.where.rpartition(", ")[2]
     if finding.code != "drift" or name in ("serial", "model", "firmware"):
         return finding
-    does = "clears it" if name in FIELDS else "sets it back"
-    return dataclasses.replace(finding, hint=f"Taking it again (key r) {does} on the camera first.")
+    does = "The field is cleared" if name in FIELDS else "The setting is set back"
+    hint = f"{does} on the camera in any case: r then takes this photograph again, a keeps it."
+    return dataclasses.replace(finding, hint=hint)
 
 
 def _late(pattern: str, findings: Iterable[Finding]) -> list[Finding]:

@@ -1,4 +1,4 @@
-"""The command `capture`: a session, begun or gone on with."""
+"""The command `capture`: a session, begun or resumed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from lightstage.errors import ConfigError, FormatError, LightstageError, one_err
 from lightstage.findings import accepted_in_words
 from lightstage.formats.access import group_of, limited_access
 from lightstage.formats.consents import require_consents
-from lightstage.leds.address import parse_url
+from lightstage.leds.address import worst_answer_s
 from lightstage.operator import open_operator
 from lightstage.patterns import Drive, read_patterns, sequence_patterns, split_emitters
 from lightstage.preflight import consent_findings, measured_rig_findings, require_known
@@ -90,10 +90,11 @@ def capture_command(
         None, help="Named sequence, or pattern names with commas (binary)."
     ),
     leds: str = typer.Option(
-        ..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://.."
+        ...,
+        help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://..; or NAME=URL,NAME=URL",
     ),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
-    resume: bool = typer.Option(False, "--resume", help="Go on with the session in --out."),
+    resume: bool = typer.Option(False, "--resume", help="Resume the session in --out."),
     subject: str | None = typer.Option(None, help="Pseudonym, such as P07 (subject-1)."),
     expression: str | None = typer.Option(None, help="Such as neutral, the default."),
     consent: str | None = typer.Option(
@@ -180,9 +181,9 @@ def capture_command(
             frames, written = whole
             did = f"{' and '.join(written)} written again; " if written else ""
             read = f"{counted(frames, 'frame')} read back"
-            said = f"{out}: finished and whole, {read}; {did}nothing is left to do"
+            summary = f"{out}: finished and whole, {read}; {did}nothing is left to do"
             facts = {"session": str(out), "frames": frames, "taken": 0, "written": written}
-            finish(said, facts, as_json)
+            finish(summary, facts, as_json)
             return
         the_rig, order = unfinished(out)
     else:
@@ -225,8 +226,8 @@ def take_session(
         settings: how.
         leds: the LED device's URL.
         cameras: path of a cameras file, or ``auto``.
-        as_json: whether the facts are told as JSON.
-        calibrated: the order that is right when the devices have told what they are.
+        as_json: whether the facts are printed as JSON.
+        calibrated: the order that is right when the devices are known.
 
     Raises:
         LightstageError: as open_stage and capture_session.
@@ -234,7 +235,7 @@ def take_session(
     require_known(order.subject, settings.session)
     findings = [*consent_findings(order.consent, settings.session), *measured_rig_findings(rig)]
     order = dataclasses.replace(order, findings=findings)
-    worst_s = settings.worst_shot_s(parse_url(leds).worst_s)
+    worst_s = settings.worst_shot_s(worst_answer_s(leds))
     check_shots(order.shots, rig, settings.safety, worst_s)
     file = CamerasFile() if cameras == "auto" else read_cameras_file(Path(cameras))
     # What is added to a session stays as private as the session is.
@@ -294,7 +295,7 @@ def _new_order(
             found="nothing",
             expected="the stage's rig.json, or --resume",
             hint="The default stage's is lightstage/data/rig.json; the simulated stage prints "
-            "where its own lies.",
+            "where its own is.",
         )
     check_pseudonym(subject, "subject")
     check_pseudonym(expression, "expression")
@@ -317,7 +318,7 @@ def _with_calibration(
     order: Order, stage: Stage, lab: Path, allow_stale: list[str], config: CaptureConfig
 ) -> Order:
     used = use_calibrations(
-        lab, stage.rig, stage.told, stage.lights.hello, allow_stale, config.calibration
+        lab, stage.rig, stage.summaries, stage.lights.hello, allow_stale, config.calibration
     )
     facts = {**order.facts, "calibration_shots": used.facts}
     return dataclasses.replace(order, facts=facts, findings=[*order.findings, *used.findings])
@@ -333,13 +334,13 @@ def resume_with(
 
 
 def _require_begun(out: Path) -> None:
-    """FormatError where there is nothing to go on with."""
+    """FormatError where there is nothing to resume."""
     if not (out / JOURNAL).exists():
         raise FormatError(
             out,
             found="no journal" if out.is_dir() else "no such folder",
             expected="a session that was begun",
-            hint="There is nothing to go on with: start without --resume.",
+            hint="There is nothing to resume: start without --resume.",
         )
 
 

@@ -34,7 +34,7 @@ class CaptureConfig:
             dark, and the camera takes the pattern again alone.
         downloads: how often one file is asked for before its photograph counts as failed.
         delete_from_cameras: delete a photograph on the camera once it is in the journal.
-        drive: levels weighted by the solid angle that a light stands for, or plain on and off.
+        drive: levels weighted by the solid angle that a lamp represents, or plain on and off.
         emitters: colours of the lights that are driven, where rig.json names colours; none: all.
         deadlines: after which a camera that has not answered is ended.
         safety: limits for person and lights.
@@ -105,7 +105,7 @@ def read_config(
     config = config or CaptureConfig()
     if path is not None:
         config = make_config(CaptureConfig, read_toml(path), path)
-        if config.session.pseudonyms is not None:  # so that a session goes on from anywhere
+        if config.session.pseudonyms is not None:  # so that a session is resumed from anywhere
             table = str(path.absolute().parent / config.session.pseudonyms)
             session = dataclasses.replace(config.session, pseudonyms=table)
             config = dataclasses.replace(config, session=session)

@@ -1,4 +1,4 @@
-"""A look at all devices without a capture: what each tells, and what would keep lights off."""
+"""A check of all devices without a capture: what each reports, and what would keep lights off."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lightstage.cameras.binding import (
 from lightstage.cameras.camera import Summary
 from lightstage.cameras.process import CameraProcess, detect_ports
 from lightstage.capture.config import CaptureConfig
-from lightstage.capture.stage import told_moved
+from lightstage.capture.stage import moved_finding
 from lightstage.errors import LightstageError
 from lightstage.findings import Finding
 from lightstage.leds.controller import Hello
@@ -31,7 +31,7 @@ from lightstage.preflight.pulses import pulse_findings
 from lightstage.rig import Rig
 
 SHOWN = ("iso", "shutter", "aperture", "white_balance", "image_format", "mode", "focus", "firmware")
-"""Settings that are told of each camera."""
+"""Settings that are reported of each camera."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,11 +40,11 @@ class CameraLook:
 
     Attributes:
         id: the rig's name for it.
-        serial: that it tells, else the rig's.
+        serial: that it reports, else the rig's.
         answers: whether it does.
         port: where it is.
         model: maker and name.
-        lens: what is mounted, where it tells.
+        lens: what is mounted, where it reports it.
         battery_percent: charge.
         free_shots: photographs that still fit on its card, by the rig's pixels.
         settings: by name.
@@ -68,8 +68,8 @@ class Look:
     """All devices.
 
     Attributes:
-        lights: what the LED device told; None where it does not answer.
-        acknowledged: whether it tells what is lit.
+        lights: what the LED device reported; None where it does not answer.
+        acknowledged: whether it reports what is lit.
         cameras: in the rig's order.
         findings: as a capture's preflight has them; devices that do not answer are ``refuse``.
     """
@@ -106,26 +106,26 @@ def look_at_devices(
         ConfigError: a malformed URL.
     """
     findings: list[Finding] = []
-    cameras, told, found = _look_at_cameras(rig, file, config)
+    cameras, summaries, found = _look_at_cameras(rig, file, config)
     findings += found
     hello, acknowledged, pulse_hz = None, False, None
     try:
         with open_rig_leds(leds, rig) as device:
             hello, acknowledged = device.hello, device.acknowledged
             pulse_hz = device.pulse_hz
-            findings += device_findings(rig, told, file, device, config.preflight)
+            findings += device_findings(rig, summaries, file, device, config.preflight)
     except LightstageError as error:
         findings.append(_silent(error, "LED device"))
-        # What the cameras' settings lack is told all the same: one walk to the stage.
-        findings += settings_findings(told, file, config.preflight)
-        findings += privacy_findings(told)
-    shutters = {camera_id: summary.shutter for camera_id, summary in told.items()}
+        # What the cameras' settings lack is reported all the same: one walk to the stage.
+        findings += settings_findings(summaries, file, config.preflight)
+        findings += privacy_findings(summaries)
+    shutters = {camera_id: summary.shutter for camera_id, summary in summaries.items()}
     if hello is not None:
         findings += pulse_findings(shutters, pulse_hz, plan.lowest_level, config.preflight)
-    findings += card_findings(rig, told, plan, config.preflight)
+    findings += card_findings(rig, summaries, plan, config.preflight)
     findings += disk_findings(rig, out, plan, config.preflight)
     findings += computer_clock_findings(out, config.preflight)
-    looks = [_camera(rig, each, told.get(each.id), plan, findings) for each in cameras]
+    looks = [_camera(rig, each, summaries.get(each.id), plan, findings) for each in cameras]
     seen = {look.id for look in looks}
     looks += [CameraLook(c.id, c.serial, False) for c in rig.cameras if c.id not in seen]
     order = [camera.id for camera in rig.cameras]
@@ -143,15 +143,15 @@ def _look_at_cameras(
     moved: list[Moved] = []
     try:
         wanted = [rig.camera(camera.id) for camera in cameras]
-        told, problems = connect_problems(wanted, cameras, file.allow_unverifiable, moved)
+        summaries, problems = connect_problems(wanted, cameras, file.allow_unverifiable, moved)
     finally:
         close_cameras(cameras)
     findings = [_silent(each, "") for each in problems]
-    return cameras, told, [*findings, *map(told_moved, moved)]
+    return cameras, summaries, [*findings, *map(moved_finding, moved)]
 
 
 def _silent(error: LightstageError, where: str) -> Finding:
-    """A device that does not answer, as a finding; an error of several is told whole."""
+    """A device that does not answer, as a finding; an error of several is reported whole."""
     several = not error.found
     return Finding(
         "refuse",
@@ -164,22 +164,26 @@ def _silent(error: LightstageError, where: str) -> Finding:
 
 
 def _camera(
-    rig: Rig, device: CameraProcess, told: Summary | None, plan: Plan, findings: Sequence[Finding]
+    rig: Rig,
+    device: CameraProcess,
+    summary: Summary | None,
+    plan: Plan,
+    findings: Sequence[Finding],
 ) -> CameraLook:
     camera = rig.camera(device.id)
-    if told is None:
+    if summary is None:
         return CameraLook(device.id, camera.serial, False, device.port)
-    free = told.card_free_bytes
-    settings = {name: value for name in SHOWN if (value := getattr(told, name)) is not None}
+    free = summary.card_free_bytes
+    settings = {name: value for name in SHOWN if (value := getattr(summary, name)) is not None}
     wrong = [f.where.rpartition(", ")[2] for f in findings if f.camera == device.id]
     return CameraLook(
         device.id,
-        told.serial or camera.serial,
+        summary.serial or camera.serial,
         True,
         device.port,
-        told.model or "",
-        told.lens or "",
-        told.battery_percent,
+        summary.model or "",
+        summary.lens or "",
+        summary.battery_percent,
         None if free is None else free // max(1, photograph_bytes(camera, plan)),
         settings,
         tuple(name for name in dict.fromkeys(wrong) if name in SHOWN),

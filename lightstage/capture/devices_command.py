@@ -1,4 +1,4 @@
-"""The command `devices`: what stands on the stage, and what would keep a capture from starting."""
+"""The command `devices`: what is on the stage, and what would keep a capture from starting."""
 
 from __future__ import annotations
 
@@ -32,12 +32,13 @@ def register(app: typer.Typer) -> None:
 def devices_command(
     rig: Path = typer.Option(..., help="rig.json: where lights and cameras stand."),
     leds: str = typer.Option(
-        ..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://.."
+        ...,
+        help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://..; or NAME=URL,NAME=URL",
     ),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
     folder: Path = typer.Option(
         Path(),
-        help="Where sessions will lie: its disk and the clocks of its journals are looked at.",
+        help="Where sessions will be: its disk and the clocks of its journals are checked.",
     ),
     config: Path | None = typer.Option(None, help="TOML with other values than the defaults."),
     as_json: bool = JsonFlag,

@@ -14,19 +14,19 @@ from lightstage.session.state import CLOCK_SET
 
 
 class Freshness:
-    """Knows each camera's clock and what lay on its card at the beginning.
+    """Knows each camera's clock and what was on its card at the beginning.
 
     Args:
         writer: the session.
-        told: what each camera told of itself just now, its clock among it.
-        cards: what lies on each card, by camera id.
-        believed: whether clocks are looked at.
+        summaries: each camera's, just read, its clock among it.
+        cards: what is on each card, by camera id.
+        believed: whether clocks are compared.
     """
 
     def __init__(
         self,
         writer: SessionWriter,
-        told: Mapping[str, Summary],
+        summaries: Mapping[str, Summary],
         cards: Mapping[str, Collection[CardFile]],
         believed: bool,
     ) -> None:
@@ -34,11 +34,11 @@ class Freshness:
         self._there = {camera_id: frozenset(files) for camera_id, files in cards.items()}
         self._clocks = {
             camera_id: CameraClock.read_now(each.clock_offset_s if believed else None)
-            for camera_id, each in told.items()
+            for camera_id, each in summaries.items()
         }
 
     def clock_facts(self, camera: CameraDevice) -> dict[str, float]:
-        """What the journal says of a camera's clock at an exposure; nothing where it is unknown."""
+        """The journal's facts of a camera's clock at an exposure; empty where it is unknown."""
         clock = self._clocks[camera.id]
         return {} if clock is None else {"clock_offset_s": clock.offset_now_s()}
 
@@ -62,7 +62,7 @@ class Freshness:
             if verdict is Verdict.DIFFERS and not self._was_set(camera, clock, exposure):
                 shown = begun.isoformat(" ", "seconds")
                 return f"the time {taken} in the file, the camera's clock showed {shown}"
-        # A clock that was set says nothing: before or after this shot, nobody knows.
+        # A clock that was set proves nothing: before or after this shot, nobody knows.
         if verdict is not Verdict.FITS and exposure.files[0] in self._there[camera.id]:
             return f"the file {exposure.files[0].name}, which was on its card before this capture"
         return ""
@@ -73,7 +73,7 @@ class Freshness:
         if offset_s is not None and not clock.was_set_since(offset_s):
             return False
         self._clocks[camera.id] = CameraClock.read_now(offset_s)
-        said = "its clock was set during the capture, or is no longer told"
+        reason = "its clock was set during the capture, or can no longer be read"
         file = [exposure.files[0].name, exposure.files[0].size]
-        self._writer.note("note", about=CLOCK_SET, camera=camera.id, file=file, said=said)
+        self._writer.note("note", about=CLOCK_SET, camera=camera.id, file=file, said=reason)
         return True

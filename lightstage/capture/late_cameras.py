@@ -12,21 +12,21 @@ from lightstage.preflight.values import exposure_s
 from lightstage.session import SessionWriter
 
 TELL_S = 1.0
-"""A camera that is later than this is told to the operator, who then sees the seconds run."""
+"""A camera that is later than this is reported to the operator, who then sees the seconds run."""
 
 
 class ExposureTimes:
     """How long exposures of a session last, from the common trigger until the camera is done.
 
-    A camera is done when its picture lies on its card. Several threads may call.
+    A camera is done when its photograph is on its card. Several threads may call.
 
     Args:
-        shutters: what the cameras tell of their shutter times, such as ``1/60``; None is unknown.
+        shutters: the cameras' shutter times, such as ``1/60``; None is unknown.
     """
 
     def __init__(self, shutters: Iterable[str | None]) -> None:
-        told = [exposure_s(text) for text in shutters if text is not None]
-        self._shutter_s = max((time_s for time_s, _ in filter(None, told)), default=None)
+        exposures = [exposure_s(text) for text in shutters if text is not None]
+        self._shutter_s = max((time_s for time_s, _ in filter(None, exposures)), default=None)
         self._longest_s: dict[str, float] = {}
         self._lock = threading.Lock()
 
@@ -39,8 +39,8 @@ class ExposureTimes:
         """Longest that a normal exposure of these cameras takes.
 
         Of a camera without an exposure so far, it is the longest of all cameras; where no camera
-        has exposed yet, the longest shutter time that they were asked for. None where no camera
-        tells one either.
+        has exposed yet, the longest shutter time that the cameras are set to. None where no camera
+        reports one either.
         """
         with self._lock:
             if not self._longest_s:
@@ -55,7 +55,7 @@ class LateCameras:
 
     The light stays for as long as an exposure of these cameras normally takes, at least until the
     last of the others has exposed, and `late_camera_grace_s` longer. The journal's lines
-    ``waiting`` say which cameras are late and how many seconds are left.
+    ``waiting`` name the cameras that are late and how many seconds are left.
 
     Args:
         pattern: what is lit.
@@ -85,7 +85,7 @@ class LateCameras:
         self._told = self._over = False
 
     def look(self) -> None:
-        """Tell of cameras that are late, and put the light out when they are too late."""
+        """Report cameras that are late, and put the light out when they are too late."""
         late = self._light.needed_by
         usual_s = self._times.usual_s(late) if late and not self._over else None
         if usual_s is None:
@@ -98,12 +98,12 @@ class LateCameras:
         if now_s >= dark_s:
             self._over = True
             if self._light.put_out():
-                self._tell(late, now_s, lit=False)
+                self._note(late, now_s, lit=False)
         elif not self._told and now_s >= exposed_s + min(TELL_S, self._grace_s / 2):
             self._told = True
-            self._tell(late, now_s, lit=True, dark_in_s=round(dark_s - now_s, 3))
+            self._note(late, now_s, lit=True, dark_in_s=round(dark_s - now_s, 3))
 
-    def _tell(self, late: Collection[str], now_s: float, **facts: object) -> None:
+    def _note(self, late: Collection[str], now_s: float, **facts: object) -> None:
         self._writer.note(
             "waiting",
             pattern=self._pattern,

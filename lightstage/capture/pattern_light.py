@@ -58,10 +58,10 @@ class PatternLight:
             return frozenset(self._needed_by)
 
     def over(self, camera_id: str) -> DeviceError | None:
-        """One camera needs the light no more; what speaks against it having lasted until now.
+        """One camera needs the light no more; the reason why it may not have lasted until now.
 
         A light that was put out in between did not last, though the device confirms the darkness
-        that it was told since.
+        that it was given since.
         """
         lost: DeviceError | None = None
         try:

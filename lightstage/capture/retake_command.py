@@ -35,7 +35,8 @@ def retake_command(
     pattern: str = typer.Argument(help="Whose photographs; several with commas."),
     camera: list[str] = typer.Argument(None, help="Cameras that take them; all where absent."),
     leds: str = typer.Option(
-        ..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://.."
+        ...,
+        help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://..; or NAME=URL,NAME=URL",
     ),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
     clear: bool = typer.Option(False, "--clear", help="Clear owner and place on the cameras."),
@@ -50,7 +51,7 @@ def retake_command(
 ) -> None:
     """Take photographs of a session again; the earlier takes stay on the disk.
 
-    A session that is not finished is gone on with to its end. What is interrupted goes on with
+    A session that is not finished is resumed and finished. What is interrupted is resumed with
     lightstage capture --resume.
     """
     require_one_rule(attended, unattended)

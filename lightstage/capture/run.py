@@ -171,7 +171,7 @@ class Run:
         )
 
     def _take(self, shot: Shot, cameras: Sequence[CameraDevice]) -> None:
-        """One try at a pattern; what does not do is queued again, if the operator says so."""
+        """One try at a pattern; what does not do is queued again, if the operator decides so."""
         pattern = shot.pattern
         result = self._try(shot, cameras) if cameras else ShotTaken((), (), 0.0)
         kept = {each.camera for each in result.taken}
@@ -197,6 +197,7 @@ class Run:
                 self._queue_again(again, bad)
             elif decision == "accept" and not missing:
                 self._writer.accept(pattern, bad)
+                self._set_back(bad)
                 again, waits = {}, False
             elif self._wishes.aborted():
                 raise stopped()
@@ -222,7 +223,7 @@ class Run:
             found="; ".join(dict.fromkeys(each.found for each in sizes)) + " by all cameras",
             expected="; ".join(dict.fromkeys(each.expected for each in sizes)),
             hint="Is this the rig.json of this stage? If not, begin a new session with the stage's "
-            "own (--rig). If all cameras are set to another picture size, set them back and go on.",
+            "own (--rig). If all cameras have another picture size, set them back and resume.",
         )
 
     def _decide(self, pattern: str, bad: Sequence[Finding], left: int) -> Decision:
@@ -288,6 +289,13 @@ class Run:
             self._left[pattern] -= 1
             self._queue_first(pattern, ids)
 
+    def _set_back(self, bad: Sequence[Finding]) -> None:
+        """Give cameras that drifted the settings that they began with."""
+        drifted = {each.camera for each in bad if each.code == "drift"}
+        for camera in self._cameras:
+            if camera.id in drifted:
+                self._photographer.set_back(camera)
+
     def _reject(self, pattern: str, camera: str, why: str) -> None:
         """A photograph that is there no longer counts; its file stays."""
         if self._writer.state.accepted(pattern, camera) is not None:
@@ -309,26 +317,30 @@ class Run:
     def _heed(self, last: str) -> None:
         """Act on what the operator wished since the last shot, whose pattern is given."""
         while (wish := self._wishes.take()) is not None:
-            if wish == "abort":
+            if wish.do == "abort":
                 raise stopped()
-            if wish == "pause":
-                self._pause()
-            if wish == "retake" and self._is_done(last):
-                for camera in self._all:
-                    self._reject(last, camera, "the operator wants it again")
-                self._queue_first(last, self._all)
+            if wish.do == "pause":
+                self._pause(last)
+            if wish.do == "retake":
+                self._take_again(wish.pattern or last)
 
-    def _is_done(self, pattern: str) -> bool:
-        return all(queued != pattern for queued, _ in self._queue)
+    def _take_again(self, pattern: str) -> None:
+        """All cameras take a pattern again before anything else."""
+        for camera in self._all:
+            self._reject(pattern, camera, "the operator wants it again")
+        self._queue_first(pattern, self._all)
 
-    def _pause(self) -> None:
+    def _pause(self, last: str) -> None:
         begun_s = time.monotonic()
         self._lights.dark()
         self._writer.note("note", said="paused, the lights are dark")
-        while (wish := self._wishes.take()) != "resume":
-            if wish == "abort":
+        while (wish := self._wishes.take()) is None or wish.do != "resume":
+            if wish is None:
+                time.sleep(PAUSE_POLL_S)
+            elif wish.do == "abort":
                 raise stopped()
-            time.sleep(PAUSE_POLL_S)
+            elif wish.do == "retake":
+                self._take_again(wish.pattern or last)
         self._count(paused_s=time.monotonic() - begun_s)
 
 
@@ -343,8 +355,8 @@ def _suspected(findings: Sequence[Finding]) -> tuple[list[str], list[str]]:
 def _unfinished(finding: Finding) -> LightstageError:
     hint = finding.hint
     if finding.code == NOT_TAKEN:
-        said = cause(finding.found, finding.camera or "")
-        return CaptureError(f"{finding.where}: no photograph: {said}")
+        reason = cause(finding.found, finding.camera or "")
+        return CaptureError(f"{finding.where}: no photograph: {reason}")
     if finding.suspects:
         names = ", ".join(finding.suspects)
         hint = f"{hint} The wrong photograph may also be that of {names}."

@@ -1,4 +1,4 @@
-"""A whole session with connected devices: begun or gone on with, taken, written, told."""
+"""A whole session with connected devices: begun or resumed, taken, written, reported."""
 
 from __future__ import annotations
 
@@ -53,20 +53,20 @@ class Order:
     """What is to be captured.
 
     Attributes:
-        root: the session's folder; new, or of an unfinished session that is gone on with.
-        shots: in order; of a session that is gone on with, its own (`unfinished`).
-        resume: whether to go on with what lies in `root`.
-        retake: pattern and camera of photographs of a session that is gone on with, finished or
+        root: the session's folder; new, or of an unfinished session that is resumed.
+        shots: in order; of a session that is resumed, its own (`unfinished`).
+        resume: whether to resume what is in `root`.
+        retake: pattern and camera of photographs of a session that is resumed, finished or
             not, that are taken again.
         subject: pseudonym.
         expression: such as ``neutral``.
         consent: id of the record of the subject's consent.
         colour: a colour calibration to keep in the session.
         beside: other files of that calibration, by name.
-        facts: what else the journal and the manifest shall say, such as calibration shots.
-        findings: of whoever looked before, told with those of the preflight.
-        alone: whether somebody may go on with this session alone; not with a pose of shots.
-        resume_with: options beside ``--out`` with which the command goes on with the session.
+        facts: what else the journal and the manifest shall state, such as calibration shots.
+        findings: of earlier checks, reported with those of the preflight.
+        alone: whether somebody may resume this session alone; not with a pose of shots.
+        resume_with: options beside ``--out`` with which the command resumes the session.
     """
 
     root: Path
@@ -102,11 +102,11 @@ def capture_session(
 
     Raises:
         DeviceError: something forbids the capture; no light went on. Or the lights failed.
-        CaptureError: it could not be finished; what was taken is kept and can be gone on with.
-        StoppedError: by the operator, who may go on with it too.
+        CaptureError: it could not be finished; what was taken is kept and can be resumed.
+        StoppedError: by the operator, who may resume it too.
     """
     if config.preflight.clear:
-        stage.told.update(clear_privacy(stage.cameras))
+        stage.summaries.update(clear_privacy(stage.cameras))
     reset = _set_back(stage, order.root) if order.resume else []
     count = len(order.shots)
     lit = [level for shot in order.shots for level in shot.levels if level > 0]
@@ -116,7 +116,7 @@ def capture_session(
         lowest_level=min(lit, default=1.0),
     )
     looked = preflight(
-        stage.rig, stage.told, stage.file, stage.lights, order.root, plan, config.preflight
+        stage.rig, stage.summaries, stage.file, stage.lights, order.root, plan, config.preflight
     )
     findings = [
         *stage.moved,
@@ -165,28 +165,28 @@ def _last_words(
     writer: SessionWriter,
     run: Run | None,
 ) -> BaseException:
-    """Dark, and the journal's last line; the error with what goes on with the session.
+    """Dark, and the journal's last line; the error with the command that resumes the session.
 
     A defect is returned as it is, for its traceback.
     """
-    # Dark first; that it failed is told where the lights are let go.
+    # Dark first; a failure of it is reported where the lights are released.
     with contextlib.suppress(LightstageError):
         stage.lights.dark()
     if isinstance(error, KeyboardInterrupt):  # Ctrl-C, SIGTERM, a terminal that closed
         error = stopped()
-    said = str(error) or type(error).__name__
+    reason = str(error) or type(error).__name__
     with contextlib.suppress(LightstageError):
-        writer.abort(said=said, **{RESUME_WITH: [*order.resume_with]})
+        writer.abort(said=reason, **{RESUME_WITH: [*order.resume_with]})
     if not isinstance(error, LightstageError):
         return error
     if not order.alone:
-        return type(error)(plain(said))
-    told = f"{plain(said)}\n  Go on with: {resume_line(order.root, order.resume_with)}"
+        return type(error)(plain(reason))
+    message = f"{plain(reason)}\n  Go on with: {resume_line(order.root, order.resume_with)}"
     patterns, ids = ([], []) if run is None else run.suspected
     if patterns:
         older = retake_line(order.root, patterns, ids, order.resume_with)
-        told += f"\n  Where that shows the same, take the others again: {older}"
-    return type(error)(told)
+        message += f"\n  Where that shows the same, take the others again: {older}"
+    return type(error)(message)
 
 
 def _split_lights(rig: Rig, shots: Sequence[Shot]) -> list[Finding]:
@@ -200,7 +200,7 @@ def _split_lights(rig: Rig, shots: Sequence[Shot]) -> list[Finding]:
             f"{counted(len(ids), 'light')} on the splitting plane (ids "
             f"{', '.join(map(str, ids[:8]))}{', ..' if len(ids) > 8 else ''})",
             "none, or half in each",
-            "They are lit by half in both.",
+            "They are lit half in both.",
         )
         for axis, ids in on_plane(rig).items()
         if axis in axes
@@ -208,7 +208,7 @@ def _split_lights(rig: Rig, shots: Sequence[Shot]) -> list[Finding]:
 
 
 def unfinished(root: Path) -> tuple[Rig, Order]:
-    """An unfinished session's rig, and the order to go on with it.
+    """An unfinished session's rig, and the order to resume it.
 
     Raises:
         FormatError: no session, or a damaged one.
@@ -216,12 +216,12 @@ def unfinished(root: Path) -> tuple[Rig, Order]:
     path = root / "journal.jsonl"
     begin = read_journal(path)[0]
     levels = begin.get("levels") or {}
-    untold = [name for name in begin["sequence"] if name not in levels]
-    if untold:
+    unknown = [name for name in begin["sequence"] if name not in levels]
+    if unknown:
         raise FormatError(
             path,
             field="levels",
-            found=f"none of {', '.join(untold)}",
+            found=f"none of {', '.join(unknown)}",
             expected="those it began with",
         )
     shots = [Shot(name, np.array(levels[name])) for name in begin["sequence"]]
@@ -250,7 +250,7 @@ def config_of(root: Path) -> CaptureConfig:
 def _writer(
     stage: Stage, order: Order, config: CaptureConfig, findings: Sequence[Finding]
 ) -> Iterator[SessionWriter]:
-    """The session on the disk, begun or gone on with; what was found before is in its journal."""
+    """The session on the disk, begun or resumed; what was found before is in its journal."""
     writer = _opened(stage, order, config)
     try:
         for finding in findings:
@@ -261,9 +261,9 @@ def _writer(
 
 
 def _opened(stage: Stage, order: Order, config: CaptureConfig) -> SessionWriter:
-    """A new session's writer, or an unfinished one's that is told to go on."""
+    """A new session's writer, or an unfinished one's after its line `resume`."""
     cards = {camera.id: camera.card() for camera in stage.cameras}
-    serials = {camera_id: told.serial for camera_id, told in stage.told.items()}
+    serials = {camera_id: summary.serial for camera_id, summary in stage.summaries.items()}
     facts = {
         "version": __version__,
         "led_device": {
@@ -271,8 +271,8 @@ def _opened(stage: Stage, order: Order, config: CaptureConfig) -> SessionWriter:
             "acknowledged": stage.lights.acknowledged,
             "pulse_hz": stage.lights.pulse_hz,
         },
-        "told": {name: dataclasses.asdict(told) for name, told in stage.told.items()},
-        "not_verifiable": {name: told.untold() for name, told in stage.told.items()},
+        "told": {name: dataclasses.asdict(each) for name, each in stage.summaries.items()},
+        "not_verifiable": {name: each.not_readable() for name, each in stage.summaries.items()},
         "on_plane": on_plane(stage.rig),
         "config": as_dict(config),
         "facts": dict(order.facts),
@@ -302,7 +302,7 @@ def _opened(stage: Stage, order: Order, config: CaptureConfig) -> SessionWriter:
 def _set_back(stage: Stage, root: Path) -> list[Finding]:
     """Give all cameras the settings with which an unfinished session began.
 
-    What cannot be set is told by `_changed`, which refuses to go on.
+    What cannot be set is reported by `_changed`, which refuses to continue.
     """
     began = read_journal(root / "journal.jsonl")[0]["told"]
     findings: list[Finding] = []
@@ -310,18 +310,18 @@ def _set_back(stage: Stage, root: Path) -> list[Finding]:
         if camera.id in began:
             done, _ = set_back(camera, Summary(**began[camera.id]))
             if done:
-                stage.told[camera.id] = camera.summary()
+                stage.summaries[camera.id] = camera.summary()
             findings += done
     return findings
 
 
 def _changed(writer: SessionWriter, stage: Stage) -> list[Finding]:
     """Where cameras are no longer set as when the session began."""
-    began = {name: Summary(**told) for name, told in writer.state.begin["told"].items()}
+    began = {name: Summary(**summary) for name, summary in writer.state.begin["told"].items()}
     return [
         finding
-        for camera_id, told in stage.told.items()
-        for finding in drift(began[camera_id], told, camera_id)
+        for camera_id, summary in stage.summaries.items()
+        for finding in drift(began[camera_id], summary, camera_id)
     ]
 
 
@@ -336,7 +336,7 @@ def _run(
 ) -> Run:
     checks = checks or ShotChecks(stage.rig, order.shots, config.checks)
     cards = {camera.id: camera.card() for camera in stage.cameras}
-    photographer = Photographer(stage.rig, writer, checks, config, stage.told, cards)
+    photographer = Photographer(stage.rig, writer, checks, config, stage.summaries, cards)
     before: dict[str, list[Finding]] = {}
     for kept in writer.state.frames():
         found = photographer.look_again(kept.pattern, kept.camera, order.root / kept.path)
@@ -380,7 +380,7 @@ def _take_until_whole(
                 writer.root,
                 found=f"photographs of {', '.join(home.wanted)} that vanished from the disk",
                 expected="every photograph that was kept",
-                hint="Something removes files from this folder. Stop it, then go on.",
+                hint="Something removes files from this folder. Stop it, then continue.",
             )
         report = run.take_lost(home.wanted)
     warned = sum(finding.severity == "warn" for finding in findings)

@@ -163,7 +163,7 @@ def _come_home(
     """After a stop, wait for the photographs of cameras that have exposed.
 
     One that has not gets the grace of a late camera alone: its picture is of no light that is
-    known. It stays on the card, and is found there when the session is gone on with.
+    known. It stays on the card, and is found there when the session is resumed.
     """
     begun_s = time.monotonic()
     while True:

@@ -19,7 +19,7 @@ from lightstage.capture.config import CaptureConfig
 from lightstage.errors import one_error
 from lightstage.findings import Finding
 from lightstage.interrupts import raise_once
-from lightstage.leds.address import parse_url
+from lightstage.leds.address import worst_answer_s
 from lightstage.leds.opening import open_rig_leds
 from lightstage.preflight import PreflightConfig, device_findings, refusals
 from lightstage.rig import Rig
@@ -34,15 +34,15 @@ class Stage:
         rig: where they stand.
         lights: dark, and dark again at the end.
         cameras: opened, in the rig's order.
-        told: what each camera told about itself, by its id, and must go on telling.
-        file: what the cameras file says of them.
-        moved: warnings of cameras that are at other ports than the cameras file says.
+        summaries: each camera's, by its id; it must stay so.
+        file: the cameras file's part on them.
+        moved: warnings of cameras that are at other ports than in the cameras file.
     """
 
     rig: Rig
     lights: SafeLights
     cameras: tuple[CameraDevice, ...]
-    told: dict[str, Summary]
+    summaries: dict[str, Summary]
     file: CamerasFile
     moved: Sequence[Finding] = ()
 
@@ -56,22 +56,22 @@ def open_stage(rig: Rig, leds: str, file: CamerasFile, config: CaptureConfig) ->
 
     Args:
         rig: what must be there.
-        leds: the LED device's URL.
+        leds: the LED device's URL, or one of each controller (`open_rig_leds`).
         file: where cameras are, and what may stay unverified.
         config: deadlines and limits.
 
     Raises:
         DeviceError: every device that is missing or wrong, in one message.
     """
-    worst_s = config.worst_shot_s(parse_url(leds).worst_s)
+    worst_s = config.worst_shot_s(worst_answer_s(leds))
     raise_once()
     with open_rig_leds(leds, rig) as device:
         cameras = find_cameras(rig, file, config.deadlines, detect_ports)
         try:
             with SafeLights(device, config.safety, rig, worst_s) as lights:
                 lights.dark()
-                told, moved = _connect(rig, lights, cameras, file, config.preflight)
-                yield Stage(rig, lights, tuple(cameras), told, file, moved)
+                summaries, moved = _connect(rig, lights, cameras, file, config.preflight)
+                yield Stage(rig, lights, tuple(cameras), summaries, file, moved)
         finally:
             close_cameras(cameras)
 
@@ -86,15 +86,15 @@ def _connect(
     """Open all cameras, each of which must be the rig's own; warnings of those that moved."""
     wanted = [rig.camera(camera.id) for camera in cameras]
     moved: list[Moved] = []
-    told, problems = connect_problems(wanted, cameras, file.allow_unverifiable, moved)
+    summaries, problems = connect_problems(wanted, cameras, file.allow_unverifiable, moved)
     if problems:
         # The others' settings in the same message: the operator goes to the stage once.
-        raise one_error(problems + refusals(device_findings(rig, told, file, lights, config)))
-    return told, [told_moved(each) for each in moved]
+        raise one_error(problems + refusals(device_findings(rig, summaries, file, lights, config)))
+    return summaries, [moved_finding(each) for each in moved]
 
 
-def told_moved(moved: Moved) -> Finding:
-    """A warning of a camera that is at another port than the cameras file says."""
+def moved_finding(moved: Moved) -> Finding:
+    """A warning of a camera that is at another port than in the cameras file."""
     there = "nothing that answers" if moved.there is None else f"serial {moved.there}"
     return Finding(
         "warn",

@@ -1,10 +1,10 @@
 """Which photographs are taken again where some of them contradict each other.
 
-A contradiction tells that one of its photographs is wrong, and only guesses which one: what is too
+A contradiction shows that one of its photographs is wrong, and only guesses which one: what is too
 bright against `full` may be right, and `full` an old picture. The guess is taken again first; where
 that changes nothing, the others are.
 
-That holds for a camera that contradicts itself alone. Where several cameras tell the same, it is
+That holds for a camera that contradicts itself alone. Where several cameras show the same, it is
 the light: a lamp that has died would be in all photographs taken again, which then agree and are
 all wrong. There the guess alone is taken again, and the capture stops.
 """
@@ -54,7 +54,7 @@ class Suspects:
         return self._retakes - max((self._tries.get(key, 0) for key in keys), default=0)
 
     def count(self, pattern: str, bad: Sequence[Finding]) -> None:
-        """What `again` says is taken again now."""
+        """The photographs that `again` names are taken again now."""
         found = {_key(pattern, each): names for each, names in self._chosen(pattern, bad)}
         for key, names in found.items():
             self._tries[key] = self._tries.get(key, 0) + 1

@@ -19,7 +19,7 @@ class Wishes:
     def aborted(self) -> bool:
         """Whether the operator wants no more."""
         self._poll()
-        return "abort" in self._pending
+        return any(wish.do == "abort" for wish in self._pending)
 
     def take(self) -> Wish | None:
         """The oldest wish that nobody has acted on; None where there is none."""

@@ -1,7 +1,7 @@
-"""What a pattern should look like: a matte ball in the head's place, lit by the rig's lights.
+"""The photograph to expect of a pattern: a matte ball in the head's place, lit by the rig's lamps.
 
-A head is no ball, so single cells are wrong by a few tenths; but which pattern a photograph shows,
-and whether it is as bright as it should be against `full`, it tells.
+A head is no ball, so single cells are wrong by a few tenths; but the ball suffices to find which
+pattern a photograph shows, and whether it is as bright as it should be against `full`.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def unlikeness(seen: np.ndarray, expected: np.ndarray) -> np.ndarray:
 
 
 def brightness(seen: np.ndarray, expected: np.ndarray, weight: np.ndarray) -> float:
-    """Ratio of what is seen to what is expected, both over all cells, weighed by the whole."""
+    """Ratio of what is seen to what is expected, (...) over cells each, weighed by the whole's."""
     wanted = float((expected * weight).sum() / weight.sum())
     return (float((seen * weight).sum() / weight.sum()) + FLOOR) / (wanted + FLOOR)
 

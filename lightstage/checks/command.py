@@ -46,24 +46,24 @@ def check_command(
             report = check_session(session, progress)
         except LightstageError as error:
             if record:
-                with contextlib.suppress(LightstageError, OSError):  # the fault itself is told
+                with contextlib.suppress(LightstageError, OSError):  # the fault itself is reported
                     _record(session, str(error))
             raise
-    told = [finding for finding in report.findings if finding.severity != "note"]
-    for finding in told:
+    shown = [finding for finding in report.findings if finding.severity != "note"]
+    for finding in shown:
         print(f"warning: {finding}", file=sys.stderr)
     for sentence in report.unproven:
         print(f"note: {sentence}", file=sys.stderr)
     if record:
-        _record(session, "", len(told))
+        _record(session, "", len(shown))
     accepted = accepted_in_words(len(report.accepted), sum(report.accepted.values()))
     finish(
         f"{session}: {counted(report.frames, 'frame')} whole and unchanged, "
         f"{counted(report.sums, 'pattern sum')} "
         f"within {100 * report.worst_sum:.2f} %, at most {100 * report.clipped:.2f} % of a "
         "photograph clipped, "
-        f"{accepted and accepted + ', '}{counted(len(told), 'warning')} "
-        "of what lies there",
+        f"{accepted and accepted + ', '}{counted(len(shown), 'warning')} "
+        "of what is there",
         {"session": str(session), **dataclasses.asdict(report)},
         as_json,
     )

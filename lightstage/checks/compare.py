@@ -20,9 +20,9 @@ UNLIKE, UNLIKE_RATIO = 0.2, 1.5
 """A photograph shows another pattern when it is this far from its own and this many times nearer
 to the other."""
 LIKE_SIGNAL = 0.4
-"""A photograph of less than this share of another's light says nothing about that one's focus."""
+"""A photograph of less than this share of another's light cannot judge that one's focus."""
 EXCESS_CELLS = 0.1
-"""Share of lit cells that may be brighter than under `full` before it is told."""
+"""Share of lit cells that may be brighter than under `full` before it is reported."""
 
 
 def unlike_findings(
@@ -55,7 +55,9 @@ def unlike_findings(
 def looks_like(
     name: str, patterns: Sequence[str], unlike: np.ndarray, allowed: Sequence[str]
 ) -> tuple[str, float]:
-    """Which pattern a photograph is most like, and how many times nearer than to its own."""
+    """Which pattern a photograph is most like by its (P,) unlikeness to each, and how many times
+    nearer than to its own.
+    """
     own = float(unlike[patterns.index(name)])
     best = min(allowed, key=lambda other: unlike[patterns.index(other)])
     return best, own / max(float(unlike[patterns.index(best)]), 1e-6)
@@ -96,19 +98,22 @@ def expected_findings(
         level = brightness(seen, expected[index], weight)
         if level < 1 / config.max_expected_ratio:
             dim[camera] = level
-    out = _shared("wrong-light", "wrong-picture", pattern, other, known, _said_other)
+    out = _shared("wrong-light", "wrong-picture", pattern, other, known, _describe_other)
     named = {finding.camera for finding in out}
     if None in named:
         return out
-    for code, values, say in (("too-bright", bright, _said_bright), ("too-dark", dim, _said_dim)):
+    for code, values, describe in (
+        ("too-bright", bright, _describe_bright),
+        ("too-dark", dim, _describe_dim),
+    ):
         rest = {camera: value for camera, value in values.items() if camera not in named}
-        found = _shared(code, code, pattern, rest, known, say)
+        found = _shared(code, code, pattern, rest, known, describe)
         out += found
         named |= set(rest)
     return out
 
 
-def _said_other(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
+def _describe_other(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
     best = max(set(values), key=list(values).count)
     return (
         f"light that looks like {best}",
@@ -117,7 +122,7 @@ def _said_other(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
     )
 
 
-def _said_bright(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
+def _describe_bright(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
     return (
         f"up to {two_digits(100 * float(np.median(values)))} % more light than under all lamps",
         f"{pattern} to be a part of them",
@@ -125,7 +130,7 @@ def _said_bright(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
     )
 
 
-def _said_dim(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
+def _describe_dim(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
     return (
         f"{two_digits(100 * float(np.median(values)))} % of the light expected",
         f"that of {pattern}",
@@ -134,16 +139,21 @@ def _said_dim(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
 
 
 def _shared(
-    shared_code: str, own_code: str, pattern: str, values: Mapping[str, Any], known: int, say: Any
+    shared_code: str,
+    own_code: str,
+    pattern: str,
+    values: Mapping[str, Any],
+    known: int,
+    describe: Any,
 ) -> list[Finding]:
     """One finding where most cameras agree, else one for each camera."""
     if len(values) > known / 2 and known > 1:
-        found, expected, hint = say(pattern, list(values.values()))
+        found, expected, hint = describe(pattern, list(values.values()))
         place = f"{len(values)} of {counted(known, 'camera')}, pattern {pattern}"
         return [Finding("retake", shared_code, place, found, expected, hint, pattern, None)]
     out = []
     for camera, value in values.items():
-        found, expected, hint = say(pattern, [value])
+        found, expected, hint = describe(pattern, [value])
         place = where(pattern, camera)
         out.append(Finding("retake", own_code, place, found, expected, hint, pattern, camera))
     return out
@@ -213,7 +223,10 @@ def highlight_findings(
     levels: Mapping[str, np.ndarray],
     config: ChecksConfig,
 ) -> list[Finding]:
-    """Swapped polarisation banks: the cross photograph shows the mirror reflection."""
+    """Swapped polarisation banks: the cross photograph shows the mirror reflection.
+
+    `levels` are (n,) by pattern.
+    """
     base, _, kind = pattern.partition("@")
     names = f"{base}@parallel", f"{base}@cross"
     if kind not in ("parallel", "cross") or not all(name in levels for name in names):
@@ -266,7 +279,7 @@ def baseline_findings(
             f"all cameras, pattern {pattern}",
             f"{100 * off:+.2g} % of its light against the whole's in the session before",
             f"within {100 * config.max_baseline_change:g} %",
-            "Have lamps gone out or been exchanged? Photograph the grey ball.",
+            "Have lamps failed or been exchanged? Photograph the grey ball.",
             pattern,
             None,
         )

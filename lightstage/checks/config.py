@@ -19,10 +19,10 @@ class ChecksConfig:
         kept_photographs: photographs that no sum needs and that are kept all the same, for each
             camera; the oldest go first.
         max_clipped_share: of the lit pixels of a colour, above which a photograph is taken again.
-        warn_clipped_share: the same, above which it is said.
+        warn_clipped_share: the same, above which it is reported.
         min_signal_share: of white, least level of the brightest percent of a photograph that is
             to show the subject under `full`.
-        warn_signal_share: the same, below which it is said.
+        warn_signal_share: the same, below which it is reported.
         min_snr: least signal to noise of a pixel in the lit region under `full`.
         max_expected_ratio: brighter or darker than the light model expects by this factor.
         max_unlike_ratio: under `full`, brighter or darker than the middle of the cameras by this
@@ -36,7 +36,7 @@ class ChecksConfig:
         max_motion_mm: the same, above which the shot is taken again.
         min_sharpness: fine detail against the same camera's other photographs, above which it is
             in focus; 1 is alike.
-        warn_sharpness: the same, below which it is said.
+        warn_sharpness: the same, below which it is reported.
         min_highlight_ratio: whiteness of a parallel photograph against the cross one, less one;
             below minus this the banks are held to be swapped.
         max_baseline_change: share by which a camera's light of a pattern against `full` may leave

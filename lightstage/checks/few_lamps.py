@@ -1,9 +1,9 @@
 """Light of few lamps, most of all of one: whether it was that lamp's, all of it and no more.
 
 Nothing adds up to such a pattern, but light is linear: it is a share of `full`, and how large a
-share in which place a matte ball in the head's place tells [as in `BallModel`]. A head is no ball;
-what it does differently changes slowly from a lamp to the next, so a pattern is held against those
-of the session that lie near it, once there are enough.
+share in which place a matte ball in the head's place shows [as in `BallModel`]. A head is no ball;
+its differences change slowly from a lamp to the next, so a pattern is compared with those
+of the session that are near it, once there are enough.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ STEP = 1.6
 UNLIT = 0.25
 """Of the light expected, below which a lamp is held to be out."""
 LEAST_DEG = 8.0
-"""Between the direction that light comes from and where it should, at least, to be told."""
+"""Angle between the direction of the light and the right one from which it is reported."""
 SURE = 4.0
 """Robust deviations of what the other patterns show."""
 AMID_DEG = 8.0
-"""The known patterns near a lamp must lie around it: their middle is no farther away."""
+"""The known patterns near a lamp must surround it: their middle is no farther away."""
 BEYOND = 1.3
-"""Times the angle within which nine of ten other patterns lie."""
+"""Times the angle within which nine of ten other patterns are."""
 ONE_WAY = 0.95
 """Length of the mean of the lamps' directions above which a pattern has one direction."""
 LIT, ROUNDS = 0.3, 4
-"""Surfaces that face a lamp by more than this cosine tell its direction; rounds that find them."""
+"""Surfaces that face a lamp by more than this cosine show its direction; rounds that find them."""
 TIE = 2.0
 """How strongly a head's directions are held to be a ball's, in patterns."""
 
@@ -57,7 +57,7 @@ class FewLight:
         toward: (3,) unit direction of its lamps, or None where they have no common one.
         seen: mean over cameras, share of full.
         expected: the same of the ball.
-        floor: what is not told from none, by bounced light and room.
+        floor: what cannot be distinguished from none, by bounced light and room.
         noise: of `seen`, `SURE` times its deviation.
         room: light of the room that may be in `seen`, as nobody has measured it.
         came_from: (3,) unit direction of the light as a ball would show it, or None.
@@ -202,16 +202,18 @@ class FewLamps:
         if log > limit and few.seen - wanted > sure:
             factor = few.seen / max(wanted, few.floor)
             return [
-                _told("wrong-light", pattern, f"{two_digits(factor)} times its light", TOO_MUCH)
+                _refusal("wrong-light", pattern, f"{two_digits(factor)} times its light", TOO_MUCH)
             ]
         if log < -limit and wanted - few.seen > sure and wanted > few.floor:
             share = max(few.seen, 0.0) / wanted
             code = "not-lit" if share < UNLIT else "light-level"
-            return [_told(code, pattern, f"{two_digits(100 * share)} % of its light", TOO_LITTLE)]
+            return [
+                _refusal(code, pattern, f"{two_digits(100 * share)} % of its light", TOO_LITTLE)
+            ]
         return []
 
     def _near(self, few: FewLight) -> tuple[float, float] | None:
-        """Middle of the neighbours' `ratio_log`, and how far patterns lie from theirs."""
+        """Middle of the neighbours' `ratio_log`, and how far patterns are from theirs."""
         if few.toward is None:
             return None
         known = [each for each in self._known.values() if each.toward is not None]
@@ -244,7 +246,7 @@ class FewLamps:
         near = np.exp(-(_degrees(true, few.toward) ** 2) / (2 * NEAR_DEG**2))[:, None]
         around = true[_degrees(true, few.toward) < NEAR_DEG].sum(axis=0)
         if not around.any() or float(_degrees(around, few.toward)[0]) > AMID_DEG:
-            return []  # a map that holds on one side says nothing about the other
+            return []  # a map that holds on one side proves nothing about the other
         # A smooth map from the ball's directions to this head's, near this lamp.
         normal = (true * near).T @ true + TIE * np.eye(3)
         head = np.linalg.solve(normal, (true * near).T @ shown + TIE * np.eye(3))
@@ -261,8 +263,10 @@ class FewLamps:
         if lamps[best] > 0.5 * off:
             return []
         light = self._rig.lights[best]
-        said = f"light from {off:.0f} degrees beside its lamp, as of light {light.id}"
-        return [_told("wrong-light", pattern, f"{said} ({light.name}) or one near it", ELSEWHERE)]
+        where = f"light from {off:.0f} degrees beside its lamp, as of light {light.id}"
+        return [
+            _refusal("wrong-light", pattern, f"{where} ({light.name}) or one near it", ELSEWHERE)
+        ]
 
 
 TOO_MUCH = "More lamps are on than were asked for: look at the stage, take it again."
@@ -270,7 +274,7 @@ TOO_LITTLE = "Is the lamp dead, or did it not light? Look at it, take the patter
 ELSEWHERE = "Another lamp shone: look at the lights' order and wiring; are the banks swapped?"
 
 
-def _told(code: str, pattern: str, found: str, hint: str) -> Finding:
+def _refusal(code: str, pattern: str, found: str, hint: str) -> Finding:
     place = f"all cameras, pattern {pattern}"
     expected = "its share of the light of all lamps"
     return Finding("retake", code, place, found, expected, hint, pattern, None)

@@ -107,7 +107,7 @@ def cells_kernel(
 def cells_twin(
     counts: np.ndarray, colours: np.ndarray, black: np.ndarray, white: float, quads: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same in plain float64 numpy, without the extremes: light, detail, clipped."""
+    """The same, of the same shapes, in plain float64, without extremes: light, detail, clipped."""
     wide = counts.astype(float)
     high, long = wide.shape[0] // 2, wide.shape[1] // 2
     rows, columns = high // quads, long // quads

@@ -29,7 +29,7 @@ class Evidence:
         fits: camera to its fit.
         shifts: camera to the parts' shifts.
         mm_per_px: camera to millimetres a pixel at the sphere's centre.
-        unlike: (pattern, camera) to how much better it looks like another pattern: its name and
+        unlike: (pattern, camera) to how much better it fits another pattern: its name and
             the ratio of unlikenesses, 1 where it is most like itself.
         others_hold: cameras whose other sums with the same whole hold.
     """
@@ -62,7 +62,7 @@ def judge_sum(evidence: Evidence, config: ChecksConfig) -> list[Finding]:
 
 
 def _wrong(evidence: Evidence, cameras: list[str], camera: str | None) -> Finding:
-    """A photograph that shows another light than its name says: which of the three it is."""
+    """A photograph that shows another light than by its name: which of the three it is."""
     parts = list(evidence.sum.patterns)
     if any(c in evidence.others_hold for c in cameras):
         parts = parts[:2]
@@ -127,7 +127,7 @@ def _level_off(pattern: str, whole: str, off: float) -> Finding:
         "retake",
         "light-level",
         f"all cameras, pattern {pattern}",
-        f"{_percent(off)} than {whole} says",
+        f"{_percent(off)} than by {whole}",
         "the light that was commanded",
         "The lights' supply gave way, or some did not light; take the pattern again.",
         pattern,
@@ -155,7 +155,7 @@ def _percent(off: float) -> str:
 
 
 def _believed(evidence: Evidence, camera: str, config: ChecksConfig) -> bool:
-    """Whether a camera can tell motion of the size that matters, and its shift explains the sum."""
+    """Whether a camera can see motion of the size that matters, and its shift explains the sum."""
     shift, scale = evidence.shifts[camera], evidence.mm_per_px[camera]
     if SURE * shift.error_px * scale > max(config.max_motion_mm, shift.largest_px * scale):
         return False
@@ -207,7 +207,7 @@ def _motion(evidence: Evidence, cameras: list[str], config: ChecksConfig) -> lis
                     f"{camera}, pattern {pattern}",
                     f"a picture {evidence.shifts[camera].largest_px:.1f} px from {whole}'s, in "
                     "this camera alone",
-                    "a camera that stands still",
+                    "a camera that does not move",
                     "Tighten its mount; a moved camera must be calibrated again.",
                     pattern,
                     camera,

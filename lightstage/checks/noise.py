@@ -12,7 +12,7 @@ DIFFERENCE_GAIN = 6.0
 """Variance of a second difference of independent values, each of variance 1."""
 BIN_CELLS = 20
 MIN_PAIRS = 16
-"""A variance from fewer pairs says nothing alone: cells of like level are taken together."""
+"""A variance from fewer pairs has no weight alone: cells of like level are taken together."""
 
 
 def fit_noise(level: np.ndarray, variance: np.ndarray, pairs: int = 10_000) -> np.ndarray:

@@ -52,7 +52,7 @@ def strangers(session: Session) -> tuple[list[LightstageError], list[Finding]]:
 
 
 def too_old(session: Session) -> list[LightstageError]:
-    """Photographs whose time in the file lies before the session began, by their camera's clock.
+    """Photographs whose time in the file is before the session began, by their camera's clock.
 
     The clock is that of the journal's ``exposed`` lines. What is whole quarters of an hour off may
     be of another time zone and passes; so does what was taken when the clock was being set.
@@ -88,14 +88,14 @@ def too_old(session: Session) -> list[LightstageError]:
 def _is_before(taken: datetime.datetime, exposed: Line, begun: datetime.datetime) -> bool:
     offset = datetime.timedelta(seconds=exposed["clock_offset_s"])
     lasted_s = float(exposed.get("exposure_s", 0.0))
-    told = datetime.datetime.fromisoformat(exposed["time_utc"])
-    shot = told + offset - datetime.timedelta(seconds=lasted_s)
+    exposed_at = datetime.datetime.fromisoformat(exposed["time_utc"])
+    shot = exposed_at + offset - datetime.timedelta(seconds=lasted_s)
     if judge_time(taken, shot, lasted_s) is not Verdict.DIFFERS:
         return False
     zoned = taken if taken.tzinfo is not None else taken.replace(tzinfo=datetime.UTC)
     off_s = (zoned - shot).total_seconds()
     zone_s = 0.0 if taken.tzinfo is not None else round(off_s / ZONE_S) * ZONE_S
-    began_ago_s = (told - begun).total_seconds() - lasted_s
+    began_ago_s = (exposed_at - begun).total_seconds() - lasted_s
     return off_s - zone_s < -began_ago_s - GRAIN_S
 
 

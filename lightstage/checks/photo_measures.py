@@ -72,7 +72,7 @@ class Photo:
 
     @property
     def flat(self) -> bool:
-        """Whether the picture holds a single value, so that its digest tells nothing."""
+        """Whether the picture holds a single value, so that its digest identifies nothing."""
         return bool(np.ptp(self.light) == 0)
 
     @property
@@ -167,8 +167,8 @@ def measure_counts(
         colours: (2, 2) 0, 1 or 2 for each place in a quad.
         black: counts without light, one number or (2, 2).
         white: counts from which a pixel is clipped; infinity where none is.
-        size_px: width and height to tell.
-        encoding: to tell.
+        size_px: width and height of the whole.
+        encoding: of the file.
         where: what to name in an error.
         thumbnail_px: longer side of the small picture, at most.
         span: from black to white, one number or (2, 2).

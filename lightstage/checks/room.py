@@ -16,7 +16,7 @@ from lightstage.findings import Finding, two_digits
 from lightstage.rig import Rig
 
 LAMP_SHARE = 0.003
-"""Of full: a lamp that leaves or takes less is not told from noise and motion."""
+"""Of full: a lamp that leaves or takes less is not distinct from noise and motion."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Left:
 
 
 def room_findings(left: Left, model: BallModel, rig: Rig, config: ChecksConfig) -> list[Finding]:
-    """What the light left over says; nothing where there is none worth telling."""
+    """The findings of the light left over; none where there is too little."""
     out = [] if left.dark else _disagreement(left, config)
     if out:
         return out
@@ -57,7 +57,7 @@ def room_findings(left: Left, model: BallModel, rig: Rig, config: ChecksConfig) 
         return out
     bad = abs(share) > config.max_ambient_share
     leak = left.dark or (share > 0 and not left.dark_known)
-    said = (
+    measured = (
         f"light at {two_digits(100 * share)} % of full without a lamp"
         if leak
         else f"{left.sums[0]} off by {100 * share:+.2g} % of full in all cameras"
@@ -67,7 +67,7 @@ def room_findings(left: Left, model: BallModel, rig: Rig, config: ChecksConfig) 
             "retake" if bad else "warn",
             "dark-leak" if left.dark else "ambient" if leak else "sum",
             f"all cameras, pattern {left.pattern}",
-            said,
+            measured,
             f"at most {100 * config.warn_ambient_share:g} %",
             "Darken the room, or look for a lamp that does not go out."
             if leak
@@ -86,7 +86,7 @@ def _disagreement(left: Left, config: ChecksConfig) -> list[Finding]:
     out = []
     for one in left.sums:
         if one not in left.shares:
-            continue  # no camera could tell
+            continue  # no camera could show it
         off = left.shares[one] - middle
         others = [share for other, share in left.shares.items() if other != one]
         if len(left.shares) == 2:
@@ -123,7 +123,7 @@ def _lamp(left: Left, stray: Stray, rig: Rig) -> Finding:
         "lamp-on" if on else "lamp-out",
         f"all cameras, pattern {left.pattern}",
         f"{two_digits(100 * abs(stray.share))} % of full {'too much' if on else 'missing'}, "
-        f"as if {name} " + (f"were on at {stray.level:.1f}" if on else "had gone out"),
+        f"as if {name} " + (f"were on at {stray.level:.1f}" if on else "had failed"),
         "the commanded lights alone",
         "Look at that part of the stage; taking the pattern again does not mend a lamp.",
         left.pattern,

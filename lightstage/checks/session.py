@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 from collections.abc import Mapping
@@ -29,7 +30,7 @@ from lightstage.formats.sums import UNCHECKED, Balance, axes_alike, has_gradient
 from lightstage.photo_file import identify
 from lightstage.resume_line import known_options, resume_line, watch_line
 from lightstage.sequence import Shot
-from lightstage.session import accepted_findings, disagreements, read_journal
+from lightstage.session import Accepted, accepted_findings, disagreements, read_journal
 from lightstage.session.manifest import MANIFEST, check_manifest
 from lightstage.session.opening import JOURNAL
 
@@ -48,7 +49,7 @@ class CheckReport:
         sums: pattern sums compared, over all cameras.
         worst_sum: largest deviation found in them, as a share.
         clipped: largest share of clipped pixels in a photograph.
-        findings: what else the photographs show, as a capture tells it after each shot: the
+        findings: what else the photographs show, as a capture reports it after each shot: the
             operator may have seen and accepted it.
         facts: figures of all that was compared (`ShotChecks.facts`), for a later session's
             baseline.
@@ -116,7 +117,10 @@ def check_session(
             progress(done, len(session.file.frames))
         findings += checks.shot(pattern)
     problems += _overexposed(session, clipped)
-    worst, sums, unlike = _compare_sums(session, means)
+    accepted: Accepted = {}
+    with contextlib.suppress(LightstageError):  # of a broken journal is told above
+        accepted = accepted_findings(read_journal(root / JOURNAL)) if has_journal else {}
+    worst, sums, unlike = _compare_sums(session, means, accepted)
     problems += unlike
     if not sums and has_gradient({name: session.levels(name) for name in session.file.sequence}):
         findings.append(
@@ -126,7 +130,6 @@ def check_session(
         raise one_error(problems)
     worst_clipped = max(clipped.values(), default=0.0)
     frames = len(session.file.frames)
-    lines = read_journal(root / JOURNAL) if has_journal else []
     return CheckReport(
         frames,
         sums,
@@ -134,29 +137,29 @@ def check_session(
         worst_clipped,
         tuple(findings),
         checks.facts(),
-        {pattern: len(each) for pattern, each in accepted_findings(lines).items()},
+        {pattern: len(each) for pattern, each in accepted.items()},
         _unproven(has_journal, (root / MANIFEST).is_file()),
     )
 
 
 def _unproven(journal: bool, manifest: bool) -> tuple[str, ...]:
     """What no comparison of a session's own files can show."""
-    said = []
+    reasons = []
     if not journal:
-        said.append(
+        reasons.append(
             "There is no journal.jsonl: whether session.json was changed together with the "
-            "photographs cannot be told."
+            "photographs cannot be known."
         )
     if not manifest:
-        said.append(
+        reasons.append(
             "There is no manifest.json: whether the journal was changed, or files beside the "
-            "photographs, cannot be told."
+            "photographs, cannot be known."
         )
-    said.append(
+    reasons.append(
         "Hashes without a signature prove neither who took the photographs nor when: files that "
         "were all changed together are not noticed."
     )
-    return tuple(said)
+    return tuple(reasons)
 
 
 def _doubled(session: Session) -> list[LightstageError]:
@@ -229,7 +232,7 @@ def _overexposed(session: Session, clipped: dict[tuple[str, str], float]) -> lis
 
 
 def _compare_sums(
-    session: Session, means: dict[tuple[str, str], float]
+    session: Session, means: dict[tuple[str, str], float], accepted: Accepted
 ) -> tuple[float, int, list[LightstageError]]:
     """Compare photographs whose driven levels add up to the same: light is linear."""
     levels = {pattern: session.levels(pattern) for pattern in session.file.sequence}
@@ -249,7 +252,17 @@ def _compare_sums(
         # What is darker is noise, and compared as if it were this bright.
         short = max(DARK_LEVEL - abs(right), 0.0)
         worst, count = max(worst, abs(left - right) / (abs(right) + short)), count + 1
-        fault = sum_fault(session.root, camera, one, left + short, right + short)
+        faulty = [
+            name
+            for name in one.patterns
+            if any(each.get("camera") in (None, camera) for each in accepted.get(name, ()))
+        ]
+        hint = ""
+        if faulty:
+            hint = (
+                f"Its photograph of {' and '.join(faulty)} was accepted with faults: take it again."
+            )
+        fault = sum_fault(session.root, camera, one, left + short, right + short, hint)
         if fault is not None:
             problems.append(fault)
     return worst, count, problems

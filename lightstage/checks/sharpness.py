@@ -5,8 +5,8 @@ Their ratio in a cell hardly changes with the light, which scales both; so photo
 patterns can be compared, where both light the subject alike: not where one's light ends within a
 cell, for a shadow's edge is no detail, and not where fine detail as strong as the other photograph
 shows would drown in the noise. What is compared must be `MIN_PIXELS` large at least; a smaller
-photograph tells nothing about focus. Blur that all of a camera's photographs share is told by its
-ratio to other cameras and to an earlier session only.
+photograph shows nothing about focus. Blur that all of a camera's photographs share is found only
+by its ratio to other cameras and to an earlier session.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ been taken away, is a tenth of it at most."""
 LIGHT_STEP = 2.5
 """Factor by which the light's share may differ among a cell and its neighbours."""
 SURE = 3.0
-"""Standard errors that a ratio must lie from 1."""
+"""Standard errors that a ratio must be from 1."""
 
 
 def fineness(photo: Photo) -> np.ndarray:
@@ -99,7 +99,7 @@ def _lit_alike(photo: Photo, reference: Photo) -> np.ndarray:
 
 
 def _above_noise(photo: Photo, reference: Photo) -> np.ndarray:
-    """(r, c) bool, cells where the finer of both, in either one's light, stands above its noise."""
+    """(r, c) bool, cells where the finer of both, in either one's light, is above its noise."""
     # Of a quad's mean of two greens; where only one is green the noise is twice this.
     noise = [DIFFERENCE_GAIN / 2 * pixel_noise(p) for p in (photo, reference)]
     light = [np.maximum(p.coarse[..., 1].astype(float), 1e-12) ** 2 for p in (photo, reference)]

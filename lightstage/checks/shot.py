@@ -41,7 +41,7 @@ LAMP_EXPLAINED = 0.8
 
 
 class ShotChecks:
-    """All photographs of a session as small pictures, and what they tell together.
+    """All photographs of a session as small pictures, and what they show together.
 
     Memory is bounded: a photograph whose pattern is part of a sum is kept as a small picture (300
     kB at 24 megapixels), of the others the last few of each camera; of every photograph a digest
@@ -80,13 +80,13 @@ class ShotChecks:
         self._fits: dict[Sum, dict[str, SumFit]] = {}
         self._shifts: dict[Sum, dict[str, Shift]] = {}
         self._failed: set[tuple[str, str | None]] = set()
-        # What a look at a pattern's photographs together says, until they are looked at again.
+        # The findings of a pattern's photographs together, until they are checked again.
         self._blamed: dict[str, set[tuple[str, str | None]]] = {}
         self._broken: set[Sum] = set()
         self._lock = threading.RLock()
 
     def photograph(self, pattern: str, camera_id: str, path: Path) -> list[Finding]:
-        """Measure one photograph and say what it shows by itself; any number of threads at once.
+        """Measure one photograph and check it by itself; any number of threads at once.
 
         Args:
             pattern: its light.
@@ -142,7 +142,7 @@ class ShotChecks:
         """Compare a pattern's photographs with each other and with the session's earlier ones.
 
         Returns:
-            What was found; pattern and camera of each finding say what is to be taken again, and
+            What was found; pattern and camera of each finding name what is to be taken again, and
             that may be an earlier pattern than this one.
         """
         with self._lock:
@@ -255,7 +255,7 @@ class ShotChecks:
         self._broken.update(one for one in fresh if bad.intersection(one.patterns))
         found += self._room(pattern, [one for one in fresh if one not in self._broken])
         if self._broken.intersection(fresh) and self._maybe_lamp(fresh):
-            # A lamp makes small errors of level too; where it explains them, it alone is told.
+            # A lamp makes small errors of level too; where it explains them, it alone is reported.
             lamps = [f for f in self._room(pattern, fresh) if f.code.startswith("lamp")]
             if lamps:
                 kept = [f for f in found if f.code not in ("exposure", "light-level")]
@@ -455,5 +455,5 @@ def _once(found: list[Finding]) -> list[Finding]:
 
 
 def _rounded(value: float) -> float:
-    """Four digits; endless signal to noise is told as -1, which JSON can hold."""
+    """Four digits; endless signal to noise is written as -1, which JSON can hold."""
     return float(f"{value:.4g}") if np.isfinite(value) else -1.0

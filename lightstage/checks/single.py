@@ -48,13 +48,13 @@ def photo_findings(
     """
     out: list[Finding] = []
 
-    def say(severity: Severity, code: str, found: str, expected: str, hint: str) -> None:
+    def add(severity: Severity, code: str, found: str, expected: str, hint: str) -> None:
         place = where(pattern, camera.id)
         out.append(Finding(severity, code, place, found, expected, hint, pattern, camera.id))
 
     size = camera.width_px, camera.height_px
     if photo.size_px != size:
-        say(
+        add(
             "retake",
             "size",
             f"{photo.size_px[0]} x {photo.size_px[1]} pixels",
@@ -62,7 +62,7 @@ def photo_findings(
             "Set the camera's picture size to full, or is it another camera's photograph?",
         )
     if photo.wild:
-        say(
+        add(
             "retake",
             "not-finite",
             counted(photo.wild, "pixel without a finite number", "pixels without a finite number"),
@@ -70,7 +70,7 @@ def photo_findings(
             "The file is damaged, or was made by a program that divided by nothing.",
         )
     if photo.encoding == "raw" and photo.flat:
-        say(
+        add(
             "retake",
             "blank",
             "the same count in every pixel",
@@ -84,7 +84,7 @@ def photo_findings(
     elif lit >= 1.0:
         out += _exposure(photo, pattern, camera.id, config)
     elif photo.signal <= UNLIT_SIGMA * float(photo.spread.max(initial=0.0)):
-        say(
+        add(
             "retake",
             "not-lit",
             "nothing but noise",
@@ -100,7 +100,7 @@ def _clipping(photo: Photo, pattern: str, camera_id: str, config: ChecksConfig) 
     if share <= config.warn_clipped_share:
         return []
     bad = share > config.max_clipped_share
-    said = ", ".join(
+    shares = ", ".join(
         f"{two_digits(100 * part)} % of {name}"
         for part, name in zip(photo.clipped, COLOURS, strict=True)
         if part > 0
@@ -110,7 +110,7 @@ def _clipping(photo: Photo, pattern: str, camera_id: str, config: ChecksConfig) 
             "retake" if bad else "warn",
             "clipped",
             where(pattern, camera_id),
-            f"{said} clipped where the subject is lit",
+            f"{shares} clipped where the subject is lit",
             f"at most {100 * config.warn_clipped_share:g} %",
             "Shorten the exposure or lower ISO for all cameras."
             if bad

@@ -1,6 +1,6 @@
 """Light that nobody asked for: of the room, or of a lamp that stays on, or one that died.
 
-What is left of a sum, or stands in a dark photograph, is fitted over all cameras by the room (the
+What is left of a sum, or is in a dark photograph, is fitted over all cameras by the room (the
 same from everywhere) and one lamp, each as a matte ball would show it [as in `BallModel`]; the lamp
 that explains most is named when it explains much.
 """
@@ -19,12 +19,12 @@ from lightstage.checks.sums import MIN_CELLS
 
 MIN_EXPLAINED = 0.3
 LEVELS = (0.2, 5.0)
-"""A lamp's level as fitted must lie between these to be believed: a head is no ball."""
+"""A lamp's level as fitted must be between these to be believed: a head is no ball."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Stray:
-    """What stray light looks like.
+    """Stray light as it was fitted.
 
     Attributes:
         share: mean over cameras, of full; negative where light is missing.

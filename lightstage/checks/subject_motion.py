@@ -33,7 +33,7 @@ MIN_EXPLAINED = 0.25
 
 @dataclasses.dataclass(frozen=True)
 class Shift:
-    """How far the parts of a sum lie from the whole in one camera's photographs.
+    """How far the parts of a sum are from the whole in one camera's photographs.
 
     Attributes:
         first_px: (2,) right and down, pixels of the photograph.
@@ -96,7 +96,7 @@ def sum_shift(
             solved = _solve(design.astype(float), left.astype(float))
             if solved is None:
                 return None
-            # What lies too far right by u is w = a + u da/dx: so u comes out with its own sign.
+            # What is too far right by u is w = a + u da/dx: so u comes out with its own sign.
             shifts, error = (
                 np.clip(shifts + solved[0], -FARTHEST, FARTHEST),
                 solved[1] * sigma / step,

@@ -20,7 +20,7 @@ FLOOR_SHARE = 0.01
 """Of full: residuals below it are motion, flicker and rounding, not noise."""
 ROUNDS = 6
 MIN_CELLS = 12
-"""Fewer lit coarse cells tell nothing."""
+"""Fewer lit coarse cells decide nothing."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,7 +113,7 @@ def fit_sum(
         shift: moves the parts onto the whole first.
 
     Returns:
-        None where sizes differ, or too few cells are lit and unclipped to tell anything.
+        None where sizes differ, or too few cells are lit and unclipped.
     """
     shape = whole.coarse.shape
     if first.coarse.shape != shape or second.coarse.shape != shape:
@@ -170,7 +170,7 @@ def _robust(
     errors: np.ndarray = np.full(2, np.inf)
     for _ in range(ROUNDS):
         normal = parts.T @ (parts * weight[:, None])
-        # A part without light has no gain to tell: a little of "as it should be" keeps it at 1.
+        # A part without light has no gain to find: a little of "as it should be" keeps it at 1.
         tie = 1e-9 * float(np.diag(normal).max()) + 1e-300
         normal += tie * np.eye(2)
         right = parts.T @ (target * weight) + tie

@@ -38,7 +38,7 @@ def make_app(help_text: str, group: type[TyperGroup] = TyperGroup) -> typer.Type
     """A Typer application with this project's settings and the option --version.
 
     Args:
-        help_text: what `--help` says of it.
+        help_text: what `--help` prints of it.
         group: how it finds its commands (`lazy_group`).
     """
     app = typer.Typer(
@@ -71,7 +71,7 @@ def _with_version(
         is_eager=True,
     ),
 ) -> None:
-    """What stands before every command's name."""
+    """The part before every command's name."""
 
 
 def run_app(app: typer.Typer) -> None:
@@ -124,22 +124,24 @@ def _end_with(error: Exception, as_json: bool) -> None:
     if isinstance(error, BrokenPipeError) and _reader_is_gone():
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(DEFECT)
-    told = explain(error)
-    if told is None:
+    explained = explain(error)
+    if explained is None:
         raise error
     if os.environ.get("LIGHTSTAGE_TRACEBACK"):
         sys.excepthook(type(error), error, error.__traceback__)
-    name, stopped = type(told).__name__, isinstance(told, StoppedError)
+    name, stopped = type(explained).__name__, isinstance(explained, StoppedError)
     if stopped:
         ignore_signals()
-    print(told if stopped else f"{name}: {told}", file=sys.stderr)
-    fields = {key: getattr(told, key) for key in ("where", "field", "found", "expected", "hint")}
-    _print_json(as_json, name, {"message": str(told), **fields})
+    print(explained if stopped else f"{name}: {explained}", file=sys.stderr)
+    fields = {
+        key: getattr(explained, key) for key in ("where", "field", "found", "expected", "hint")
+    }
+    _print_json(as_json, name, {"message": str(explained), **fields})
     sys.exit(INTERRUPTED if stopped else BAD_INPUT)
 
 
 def _reader_is_gone() -> bool:
-    """Whether whoever read our output has ended (`| head`): nobody is left to tell."""
+    """Whether whoever read our output has ended (`| head`): nobody is left to read."""
     poll = select.poll()
     poll.register(1, 0)
     return any(event & select.POLLERR for _, event in poll.poll(0))

@@ -43,4 +43,4 @@ def lazy_group(table: dict[str, tuple[str, str]]) -> type[TyperGroup]:
 
 
 def _nothing() -> None:
-    """What stands before every command's name."""
+    """The part before every command's name."""

@@ -37,7 +37,7 @@ def output_file(
 
     Args:
         names: of the option, such as `--out`.
-        help: what `--help` says.
+        help: what `--help` prints.
         suffixes: what its name may end in, lower case; any where empty.
         default: where the option is absent; required without it.
         shared: it shows nobody's face and is made to be passed on, so that the user's own umask
@@ -130,7 +130,7 @@ def _try(folder: Path) -> None:
 
 @contextlib.contextmanager
 def _named(option: str, path: Path) -> Iterator[None]:
-    """Tell what goes wrong inside as an error of this option and path."""
+    """Report what goes wrong inside as an error of this option and path."""
     try:
         for name in path.parts:
             if len(os.fsencode(name)) > _NAME_BYTES:
@@ -144,12 +144,12 @@ def _named(option: str, path: Path) -> Iterator[None]:
         expected = "a place that can be written"
         raise DiskError(path, field=option, found="no place for files", expected=expected) from None
     except (OSError, DiskError) as error:
-        told = disk_full(path) if is_disk_full(error) else explain(error)
-        assert told is not None  # `explain` knows every OSError
-        raise type(told)(
+        explained = disk_full(path) if is_disk_full(error) else explain(error)
+        assert explained is not None  # `explain` knows every OSError
+        raise type(explained)(
             path,
             field=option,
-            found=told.found,
-            expected=told.expected,
+            found=explained.found,
+            expected=explained.expected,
             hint="Name another place to write to.",
         ) from None

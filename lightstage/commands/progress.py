@@ -28,7 +28,7 @@ def progress_bar(label: str) -> Iterator[ProgressCallback]:
     The yielded callback raises KeyboardInterrupt where a signal came before.
     """
     if not sys.stderr.isatty():
-        with _told_by_lines(label) as progress:
+        with _by_lines(label) as progress:
             yield progress
         return
     from rich.console import Console
@@ -47,16 +47,16 @@ def progress_bar(label: str) -> Iterator[ProgressCallback]:
 
 
 @contextlib.contextmanager
-def _told_by_lines(label: str) -> Iterator[ProgressCallback]:
+def _by_lines(label: str) -> Iterator[ProgressCallback]:
     began, how = time.monotonic(), "stopped after"
-    told = began
+    shown_s = began
 
     def progress(done: int, total: int) -> None:
-        nonlocal told
+        nonlocal shown_s
         _stop_where_interrupted(done, total)
         now = time.monotonic()
-        if now - told >= LINE_EVERY_S:
-            told = now
+        if now - shown_s >= LINE_EVERY_S:
+            shown_s = now
             print(f"{label}: {done} of {total}", file=sys.stderr, flush=True)
 
     print(f"{label}: begun", file=sys.stderr, flush=True)

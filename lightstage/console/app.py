@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import html
 import json
+import time
 import urllib.parse
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from pathlib import Path
@@ -26,9 +28,10 @@ from lightstage.console.access import CSRF_FIELD, CSRF_HEADER, Guard, Visitors, 
 from lightstage.console.album import why_not
 from lightstage.console.desk import CHECK, LOOK, STAGE, Desk
 from lightstage.console.following import Followed, Photograph
+from lightstage.console.showing import Person, page_words
 from lightstage.day import PUBLISHED, Planned, PlannedSubject
 from lightstage.errors import ConfigError, FormatError, LightstageError
-from lightstage.operator.words import HEARD
+from lightstage.operator.words import heard_words
 
 DATA = Path(__file__).parents[1] / "data" / "console"
 REPORT_POLICY = (
@@ -126,7 +129,12 @@ class Pages:
             except LightstageError as error:
                 problem = str(error)
             following = next((each for each in takes if each.open), None)
+            people: dict[str, Person] = {}
+            for each in takes:
+                known = people.get(each.take.subject, Person(each.take.subject, each.take.consent))
+                people[each.take.subject] = known.having(each)
             return {
+                "people": list(people.values()),
                 "takes": takes,
                 "problem": problem,
                 "stamp": stamp,
@@ -145,7 +153,9 @@ class Pages:
         name, state = await _away(self._desk.current)
         if name and await _away((self._desk.folder / name / "journal.jsonl").exists):
             return RedirectResponse(f"/session/{_quoted(name)}", 303)
-        return self._page(request, "starting.html", "Live", {"name": name, "job": state})
+        problem = page_words(state.said) if state is not None and state.failed else ""
+        values = {"name": name, "job": state, "problem": problem}
+        return self._page(request, "starting.html", "Live", values)
 
     async def session(self, request: Request) -> Response:
         """The desk of one session."""
@@ -162,16 +172,18 @@ class Pages:
         state = self._desk.runner.state(STAGE)
         own = state if state is not None and state.job.session == name else None
         values = showing.desk_values(followed, own, self._desk.config.most_rows)
-        following = None
-        if followed.view.over:  # whoever starts the next one waits for this one's process to end
-            try:
-                following = next((each for each in self._desk.takes() if each.open), None)
-            except LightstageError:
-                following = None  # the plan's own page says what is wrong with it
+        following, all_done = None, False
+        # Whoever starts the next one waits for this one's process to end.
+        if followed.view.over and not values["starting"]:
+            with contextlib.suppress(LightstageError):  # the plan's own page says what is wrong
+                takes = self._desk.takes()
+                following = next((each for each in takes if each.open), None)
+                all_done = bool(takes) and all(each.stand == "done" for each in takes)
         checking = self._desk.runner.state(CHECK)
         return {
             **values,
             "following": following,
+            "all_done": all_done,
             "stage": self._desk.stage is not None,
             "checking": checking if checking and checking.job.session == name else None,
         }
@@ -313,7 +325,7 @@ class Pages:
 
     def _device_values(self) -> dict[str, Any]:
         running = self._desk.running()
-        values = showing.device_values(self._desk.runner.state(LOOK))
+        values = showing.device_values(self._desk.runner.state(LOOK), time.time())
         values |= {"running": running, "stage": self._desk.stage, "captured": None, "budget": None}
         if running and (self._desk.folder / running / "journal.jsonl").exists():
             followed = self._desk.followed(running)
@@ -326,7 +338,16 @@ class Pages:
         def values() -> dict[str, Any]:
             seen = list(reversed(self._desk.sessions()))
             checking = self._desk.runner.state(CHECK)
-            return {"sessions": seen, "folder": self._desk.folder, "checking": checking}
+            # A check that could note why it failed is shown with its session.
+            noted = {each.root.name for each in seen if each.why}
+            failed = checking is not None and checking.failed and checking.job.session not in noted
+            return {
+                "sessions": seen,
+                "folder": self._desk.folder,
+                "checking": checking,
+                "problem": page_words(checking.said) if failed and checking else "",
+                "page_words": page_words,
+            }
 
         return self._page(request, "sessions.html", "Sessions", await _away(values))
 
@@ -344,7 +365,7 @@ class Pages:
         )
 
     async def change_plan(self, request: Request) -> Response:
-        """Add a person, move a take, want one again."""
+        """Add or remove a person, move a take, want one again."""
         form = await self._form(request)
         act, name, stamp = request.path_params["act"], form.get("take", ""), form.get("stamp", "")
         desk = self._desk
@@ -364,8 +385,11 @@ class Pages:
             found = await _away(lambda: {each.take.name: each for each in desk.takes()}.get(name))
             had = 1 if found is None else max(1, len(found.sessions))
             await _away(desk.change, stamp, lambda plan: plan.wanting(name, had))
+        elif act == "remove":
+            await _away(desk.remove, stamp, form.get("subject", ""))
         else:
-            raise ConfigError("plan", found=ascii(act[:40]), expected="add, up, down or again")
+            expected = "add, up, down, again, enough or remove"
+            raise ConfigError("plan", found=ascii(act[:40]), expected=expected)
         return self._to(request, "/plan")
 
     async def start(self, request: Request) -> Response:
@@ -379,9 +403,10 @@ class Pages:
         form = await self._form(request)
         name, act = request.path_params["name"], request.path_params["act"]
         if act == "do":
-            do = form.get("do", "")
-            why = await _away(self._desk.ask, name, do)
-            said = HEARD.get(do, "Heard.") if why is None else f"Not now: {why}."
+            do, pattern = form.get("do", ""), form.get("pattern", "")
+            why = await _away(self._desk.ask, name, do, pattern)
+            of = "" if form.get("answer") else pattern
+            said = heard_words(do, of) if why is None else f"Not now: {why}."
             return self._said(request, said, f"/session/{_quoted(name)}")
         if act == "resume":
             await _away(self._desk.go_on, name)

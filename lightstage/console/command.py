@@ -20,7 +20,7 @@ from lightstage.console.runner import FOLDER
 from lightstage.console.server import LOOPBACK, listen, local_address, serving
 from lightstage.errors import CaptureError, ConfigError, FormatError
 from lightstage.formats.lock import locked
-from lightstage.leds.address import parse_url
+from lightstage.leds.opening import require_controllers
 from lightstage.rig import load_rig
 from lightstage.session import read_calibration
 
@@ -131,7 +131,7 @@ def _stage(
         return None
 
     the_rig = load_rig(rig)
-    parse_url(leds)
+    require_controllers(leds, the_rig)
     read_config(config)
     if colour is not None:
         read_calibration(colour, the_rig)

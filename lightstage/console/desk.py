@@ -14,6 +14,7 @@ from lightstage.console.album import Album
 from lightstage.console.config import ConsoleConfig
 from lightstage.console.following import Followed, Following
 from lightstage.console.runner import JobState, Runner
+from lightstage.counting import counted
 from lightstage.day import (
     DayPlan,
     Planned,
@@ -177,11 +178,38 @@ class Desk:
         words = ["retake", str(root), pattern, camera, "--attended", *stage.devices()]
         self.runner.start(STAGE, f"{name}: {pattern} by {camera}", name, words)
 
-    def ask(self, name: str, do: str) -> str | None:
-        """Ask a running capture for something; why not, or None where it is accepted."""
+    def remove(self, stamp: str, subject: str) -> None:
+        """Take a person off the plan who has no session; errors as `change`."""
+
+        def without(plan: DayPlan) -> DayPlan:
+            own = f"{subject}+"  # also of a session that is damaged, or begins just now
+            names = {each.root.name for each in self.sessions() if each.subject == subject}
+            names |= {path.name for path in self._folders() if path.name.startswith(own)}
+            state = self.runner.state(STAGE)
+            if state is not None and state.running and state.job.session.startswith(own):
+                names.add(state.job.session)
+            if names:
+                raise CaptureError(
+                    subject,
+                    found=f"{counted(len(names), 'session')} ({', '.join(sorted(names)[:5])})",
+                    expected="a person without a session",
+                    hint="Who has one stays in the plan, with the consent that belongs to it.",
+                )
+            return plan.without_subject(subject)
+
+        self.change(stamp, without)
+
+    def ask(self, name: str, do: str, pattern: str = "") -> str | None:
+        """Ask a running capture for something; why not, or None where it is accepted.
+
+        Args:
+            name: of the session.
+            do: a request.
+            pattern: that the page showed; empty for the latest.
+        """
         root = self.root(name)
         try:
-            return ask(root, do)
+            return ask(root, do, pattern)
         except (CaptureError, FormatError) as error:
             state = self.runner.state(STAGE)
             own = state is not None and state.running and state.job.session == name

@@ -23,7 +23,7 @@ from lightstage.formats.paths import path_inside
 from lightstage.operator.journal_stream import JournalTail
 from lightstage.operator.runtime import socket_answers
 from lightstage.operator.view import View
-from lightstage.operator.words import SIGNS, number_of, text_of
+from lightstage.operator.words import PRESSED, SIGNS, number_of, text_of
 from lightstage.session.opening import JOURNAL
 
 ALIVE_S = 1.0
@@ -73,7 +73,7 @@ class Followed:
 
     def __init__(self, root: Path, kept: int) -> None:
         self.root = root
-        self.view = View(str(root))
+        self.view = View(str(root), PRESSED)
         self._tail = JournalTail(root / JOURNAL)
         weakref.finalize(self, self._tail.close)  # when nobody looks at it any more
         self._lock = threading.Lock()

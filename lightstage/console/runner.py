@@ -56,12 +56,16 @@ class JobState:
         running: whether its process lives.
         code: its exit code; None while it runs, and where another server started it.
         said: the end of its log.
+        ended_s: time.time() of its last word; 0 while it runs, and where it has no log.
+        started_s: time.time() of its start.
     """
 
     job: Job
     running: bool
     code: int | None
     said: str
+    ended_s: float = 0.0
+    started_s: float = 0.0
 
     @property
     def stopped(self) -> bool:
@@ -152,14 +156,21 @@ class Runner:
             value: Any = read_json(self._path(kind), SCHEMA)
             job = Job(**{f.name: value[f.name] for f in dataclasses.fields(Job)})
             lives = born(int(job.pid)) == job.born
-        except (LightstageError, KeyError, TypeError, ValueError):
+            started_s = self._path(kind).stat().st_mtime
+        except (LightstageError, KeyError, TypeError, ValueError, OSError):
             return None
         code = None
         child = self._children.get(job.pid)
         if child is not None:  # ours: it is also taken off the list of processes
             code = child.poll()
             lives = code is None
-        return JobState(job, lives, code, "" if lives else self.said(job))
+        if lives:
+            return JobState(job, True, code, "", started_s=started_s)
+        try:
+            ended_s = (self._folder / job.log).stat().st_mtime
+        except OSError:
+            ended_s = 0.0
+        return JobState(job, False, code, self.said(job), ended_s, started_s)
 
 
 def born(pid: int) -> int | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime
+import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -17,9 +19,24 @@ from lightstage.errors import FormatError
 from lightstage.findings import two_digits
 from lightstage.formats.values import parse_json
 from lightstage.operator.view import Phase, View
-from lightstage.operator.words import ANSWERS, KEYS, LEGEND, STATES, Mark, duration, merged, said
+from lightstage.operator.words import (
+    ANSWERS,
+    KEYS,
+    LEGEND,
+    STATES,
+    Mark,
+    duration,
+    merged,
+    said,
+    text_of,
+)
+from lightstage.session.opening import JOURNAL
 
 NEWS_SHOWN = 6
+PHOTOGRAPHS_ASKED = 9
+"""Beside a question, at most."""
+OF_THE_STAGE = ("pulses-unknown",)
+"""Codes of findings that are the same in every session: the page of devices has them."""
 SHARP = 0.9
 """Fine detail against another photograph of the camera below which the page says so: a tenth less
 is seen at once, and the checks' own limits decide what is taken again."""
@@ -48,6 +65,25 @@ BANNERS: dict[Phase, tuple[str, str]] = {
 """Sign and words of each phase; of ``running`` where nothing is lit."""
 
 
+PRESSED_INSTEAD = (
+    (
+        re.compile(r"Go on with(?: it)?: lightstage capture --resume .*"),
+        "Press g on the session's page to resume it.",
+    ),
+    (
+        re.compile(r"While it is captured: lightstage watch .*"),
+        "If its capture was interrupted, press g on the session's page.",
+    ),
+    (
+        re.compile(
+            r"take the others again: lightstage retake (?:'[^']*'|\S+) ((?:(?!--)\S+ ?)+).*"
+        ),
+        r"take these again: \1(click each photograph, then its button).",
+    ),
+)
+"""Lines of commands that name another command, and what the page has in their place."""
+
+
 class Cell(NamedTuple):
     """One photograph's place in the table."""
 
@@ -69,11 +105,42 @@ class Row(NamedTuple):
 
 
 class Action(NamedTuple):
-    """A button and its key."""
+    """A button and its key.
+
+    Attributes:
+        do: a request.
+        key: of it.
+        words: on the button.
+        pattern: that it is about; empty where it is about none.
+        answer: whether it answers a question.
+    """
 
     do: str
     key: str
     words: str
+    pattern: str = ""
+    answer: bool = False
+
+
+class Person(NamedTuple):
+    """A subject of the plan, with how many expressions and sessions."""
+
+    subject: str
+    consent: str
+    expressions: int = 0
+    sessions: int = 0
+
+    def having(self, planned: Planned) -> Person:
+        """The same with one take more."""
+        sessions = self.sessions + len(planned.sessions)
+        return self._replace(expressions=self.expressions + 1, sessions=sessions)
+
+
+class Doubt(NamedTuple):
+    """Findings of a question with one advice, and the photographs that they are of."""
+
+    texts: list[str]
+    todo: str
 
 
 def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> dict[str, Any]:
@@ -88,6 +155,9 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
     with view.lock:
         rows = _rows(followed, most_rows)
         sign, words = BANNERS[view.phase]
+        starting = is_starting(followed, state)
+        if starting:
+            sign, words = "…", "STARTING"
         if view.phase == "running" and view.pattern is not None:
             sign, words = "●", f"LIT: {view.pattern}"
         left = "" if view.over else duration(view.left_s())
@@ -97,10 +167,20 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
             who = ", ".join(view.late.cameras)
             ends = "until the light goes out" if view.late.lit else "until it is started again"
             late = f"Waiting for {who}" + ("" if seconds is None else f": {seconds:.0f} s {ends}")
+        doubts, photographs = _question(followed)
+        asked = {each.text for each in view.question}
+        news = [
+            item
+            for item in reversed(merged(view.news))
+            # Plain lines stand in the list of what happened, below.
+            if item.tone != "plain" and item.text not in asked and item.code not in OF_THE_STAGE
+        ]
         return {
             "name": followed.root.name,
             "who": view.who,
-            "phase": view.phase,
+            "take": take_of(followed.root.name),
+            "phase": "starting" if starting else view.phase,
+            "starting": starting,
             "sign": sign,
             "words": words,
             "kept": view.kept,
@@ -111,9 +191,11 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
             "late": late,
             "lights": view.lights,
             "unacknowledged": view.acknowledged is False,
-            "question": merged(view.question),
-            # Plain lines stand in the list of what happened, below.
-            "news": [n for n in reversed(merged(view.news)) if n.tone != "plain"][:NEWS_SHOWN],
+            "question": doubts,
+            "asked": view.asked,
+            "times": view.asked_times,
+            "photographs": photographs,
+            "news": [] if starting else news[:NEWS_SHOWN],
             "cameras": [
                 {
                     "id": name,
@@ -125,13 +207,41 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
             ],
             "rows": rows,
             "hidden": len(view.patterns) - len(rows),
-            "actions": actions(view, followed.live),
+            "actions": actions(view, followed.live, starting),
             "live": followed.live,
             "job": state,
-            "resumable": view.phase in ("aborted", "gone") and not followed.live,
+            "problem": page_words(state.said) if state is not None and state.failed else "",
+            "resumable": view.phase in ("aborted", "gone") and not (followed.live or starting),
             "marks": [(MARKS[mark], words) for mark, words in LEGEND],
             "last_id": view.last_id,
         }
+
+
+def _question(followed: Followed) -> tuple[list[Doubt], list[tuple[str, Cell]]]:
+    """What is asked, each advice once, and the photographs concerned with their patterns."""
+    view = followed.view
+    doubts: dict[str, Doubt] = {}
+    concerned: dict[tuple[str, str], None] = {}
+    for item in merged(view.question):
+        doubts.setdefault(item.todo, Doubt([], item.todo)).texts.append(item.text)
+    for item in view.question:
+        for camera in [item.camera] if item.camera else list(view.cameras):
+            concerned[item.pattern or view.asked, camera] = None
+    cells = [(pattern, _cell(followed, pattern, camera)) for pattern, camera in concerned]
+    return list(doubts.values()), [each for each in cells if each[1].there][:PHOTOGRAPHS_ASKED]
+
+
+def take_of(folder: str) -> int:
+    """Number of a take by its folder's name (`lightstage.day.plan.take_folder`)."""
+    number = folder.split("+")[2:3]
+    return int(number[0]) if number and number[0].isdecimal() else 1
+
+
+def page_words(text: str) -> str:
+    """A command's last words for somebody who has the page: its keys in place of a shell's."""
+    for typed, pressed in PRESSED_INSTEAD:
+        text = typed.sub(pressed, text)
+    return text
 
 
 def _rows(followed: Followed, most: int) -> list[Row]:
@@ -162,20 +272,38 @@ def _cell(followed: Followed, pattern: str, camera: str) -> Cell:
     return Cell(camera, mark, MARKS[mark], take, photograph is not None)
 
 
-def actions(view: View, live: bool) -> list[Action]:
+def is_starting(followed: Followed, state: JobState | None) -> bool:
+    """Whether a session that is over is about to be resumed, or a photograph of it retaken.
+
+    Args:
+        followed: the session.
+        state: the page's own job in it.
+    """
+    if state is None or not state.running or not followed.view.over:
+        return False
+    try:
+        told_s = (followed.root / JOURNAL).stat().st_mtime
+    except OSError:
+        return False
+    return told_s < state.started_s  # else it has said its last word, and lets its devices go
+
+
+def actions(view: View, live: bool, starting: bool = False) -> list[Action]:
     """What can be asked for now, with the terminal's own keys."""
-    if view.over:
+    if view.over and not starting:
         return []
-    if not live:  # it has not told its socket yet: it can be stopped all the same
+    if not live or starting:  # it has not told its socket yet: it can be stopped all the same
         return [Action("abort", *KEYS["abort"])]
     if view.phase == "asked":
-        wanted: Sequence[str] = view.answers
-        return [Action(do, KEYS[do][0], ANSWERS.get(do, KEYS[do][1])) for do in wanted]
-    if view.phase == "paused":
-        wanted = ("resume", "abort")
-    else:
-        wanted = ("retake", "pause", "abort") if view.done else ("pause", "abort")
-    return [Action(do, *KEYS[do]) for do in wanted]
+        return [
+            Action(do, KEYS[do][0], ANSWERS.get(do, KEYS[do][1]), view.asked, True)
+            for do in view.answers
+        ]
+    wanted: Sequence[str] = ("resume" if view.phase == "paused" else "pause", "abort")
+    retake = Action("retake", KEYS["retake"][0], f"take {view.shown} again", view.shown)
+    # Once all are done the capture ends by itself; then each photograph has its own button.
+    again = [retake] if view.shown and 0 < len(view.done) < len(view.patterns) else []
+    return [*again, *(Action(do, *KEYS[do]) for do in wanted)]
 
 
 def look_values(facts: Facts) -> dict[str, Any]:
@@ -201,7 +329,7 @@ def focus_words(focus: Focus, other: str) -> list[str]:
     figure = two_digits(focus.figure)
     sentences = [f"Focus figure {figure}: fine detail over coarse; higher is sharper."]
     if focus.against is not None:
-        beside = f"this camera's photograph of {other} ({two_digits(focus.against)} of it)"
+        beside = f"this camera's photograph of {other} (ratio {two_digits(focus.against)})"
         sentences.append(
             f"As sharp as {beside}."
             if focus.against >= SHARP
@@ -251,24 +379,43 @@ def _curves(histogram: Sequence[Sequence[float]]) -> list[tuple[str, str]]:
     return curves
 
 
-def device_values(state: JobState | None) -> dict[str, Any]:
-    """What the last look at the devices found, or why it found nothing."""
+def device_values(state: JobState | None, now_s: float) -> dict[str, Any]:
+    """What the last look at the devices found, or why it found nothing, and when.
+
+    Args:
+        state: of the look.
+        now_s: time.time().
+    """
     if state is None:
-        return {"state": None, "look": None, "findings": []}
+        return {"state": None, "look": None, "findings": [], "problem": "", "when": ""}
     look: Any = None
     if not state.running and state.said:
         try:
             look = parse_json(state.said.splitlines()[-1], "devices")
         except FormatError:
             look = None
+    problem = "" if state.running else state.said
+    if isinstance(look, dict) and isinstance(look.get("error"), dict):
+        problem = text_of(look["error"], "message") or problem
     if not isinstance(look, dict) or "cameras" not in look:
         look = None
     findings = [] if look is None else [said({**f, "event": "finding"}) for f in look["findings"]]
-    return {"state": state, "look": look, "findings": findings}
+    when = when_words(state.ended_s, now_s) if state.ended_s else ""
+    return {"state": state, "look": look, "findings": findings, "problem": problem, "when": when}
+
+
+def when_words(then_s: float, now_s: float) -> str:
+    """A moment of the past, such as ``14:03 UTC, 12 min ago``."""
+    then = datetime.datetime.fromtimestamp(then_s, datetime.UTC)
+    minutes = max(0.0, now_s - then_s) / 60
+    ago = f"{minutes / 60:.0f} h ago" if minutes >= 90 else f"{minutes:.0f} min ago"
+    return f"{then:%H:%M} UTC, {'just now' if minutes < 1 else ago}"
 
 
 def plan_facts(takes: Sequence[Planned]) -> str:
     """How far the day is, as one sentence."""
     total = sum(each.take.wanted for each in takes)
-    done = sum(seen.state == "whole" for each in takes for seen in each.sessions)
-    return f"{done} of {counted(total, 'session')} done."
+    whole = [seen for each in takes for seen in each.sessions if seen.state == "whole"]
+    faulty = sum(seen.accepted > 0 for seen in whole)
+    with_faults = f", {faulty} of them with findings accepted" if faulty else ""
+    return f"{len(whole)} of {counted(total, 'session')} done{with_faults}."

@@ -16,7 +16,7 @@ from lightstage.errors import FormatError
 
 TITLES = ("session", "subject", "expression", "began (UTC)", "state", "check", "processed")
 SIGNS = {"whole": "+", "running": ">", "unfinished": "-", "damaged": "X"}
-"""Before a session's state, so that no colour is needed to tell it."""
+"""Before a session's state, so that no colour is needed to distinguish it."""
 
 
 def register(app: typer.Typer) -> None:
@@ -62,9 +62,10 @@ def _cells(each: Seen) -> list[str]:
         state += f", {each.kept} of {each.wanted}"
     if each.accepted:
         state += f", {counted(each.accepted, 'pattern')} accepted with faults"
+    checked = f"{each.checked}: {each.why.splitlines()[0]}" if each.why else each.checked
     made = ", ".join(path.name for path in each.processed) or "no"
     return [
-        each.root.name, each.subject, each.expression, each.date, state, each.checked, made
+        each.root.name, each.subject, each.expression, each.date, state, checked, made
     ]  # fmt: skip
 
 

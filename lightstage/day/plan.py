@@ -44,6 +44,15 @@ class PlannedSubject:
     sequence: str | None = None
 
 
+def take_folder(subject: str, expression: str, number: int) -> str:
+    """Name of the folder of a person's session of this number, from 1, with an expression.
+
+    No pseudonym holds a plus sign, so two takes never share a folder.
+    """
+    again = "" if number == 1 else f"+{number}"
+    return f"{subject}+{expression}{again}"
+
+
 @dataclasses.dataclass(frozen=True)
 class Take:
     """One session that the plan wants: a person with an expression.
@@ -68,12 +77,8 @@ class Take:
         return f"{self.subject}/{self.expression}"
 
     def folder(self, number: int) -> str:
-        """Name of the folder of its session of this number, from 1.
-
-        No pseudonym holds a plus sign, so two takes never share a folder.
-        """
-        again = "" if number == 1 else f"+{number}"
-        return f"{self.subject}+{self.expression}{again}"
+        """Name of the folder of its session of this number, from 1."""
+        return take_folder(self.subject, self.expression, number)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,6 +147,18 @@ class DayPlan:
     def with_subject(self, subject: PlannedSubject) -> DayPlan:
         """The same day with one person more, at its end."""
         return dataclasses.replace(self, subjects=(*self.subjects, subject))
+
+    def without_subject(self, name: str) -> DayPlan:
+        """The same day without one person; ConfigError where there is none of this name."""
+        if name not in [each.subject for each in self.subjects]:
+            raise ConfigError("subject", found=ascii(name[:80]), expected="a subject of the plan")
+        own = {take.name for take in self.all_takes() if take.subject == name}
+        return dataclasses.replace(
+            self,
+            subjects=tuple(each for each in self.subjects if each.subject != name),
+            order=tuple(each for each in self.order if each not in own),
+            takes={take: number for take, number in self.takes.items() if take not in own},
+        )
 
 
 def read_plan(path: Path) -> DayPlan:

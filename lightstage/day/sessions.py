@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
+from lightstage.day.plan import take_folder
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.checked import CHECKED, CHECKED_SCHEMA
 from lightstage.formats.files import read_json, sha256_file
@@ -16,6 +17,7 @@ from lightstage.operator.client import answers
 from lightstage.operator.journal_stream import JournalTail
 from lightstage.operator.view import View
 from lightstage.operator.words import text_of
+from lightstage.printable import printable_lines
 from lightstage.session.opening import JOURNAL
 
 State = Literal["whole", "running", "unfinished", "damaged"]
@@ -43,7 +45,9 @@ class Seen:
         kept: photographs that are there.
         wanted: photographs of the whole session.
         accepted: patterns that the operator accepted with faults.
+        findings: how many faults these are.
         checked: what `lightstage check --record` noted.
+        why: what a check found that failed; otherwise empty.
         processed: processed folders that were made from it.
         said: what is wrong, where something is.
     """
@@ -58,7 +62,9 @@ class Seen:
     kept: int = 0
     wanted: int = 0
     accepted: int = 0
+    findings: int = 0
     checked: Checked = "not checked"
+    why: str = ""
     processed: tuple[Path, ...] = ()
     said: str = ""
 
@@ -66,6 +72,20 @@ class Seen:
     def date(self) -> str:
         """When it began, to the minute (UTC)."""
         return self.created_utc[:16].replace("T", " ")
+
+    @property
+    def time(self) -> str:
+        """The same without the day."""
+        return self.date[11:]
+
+    @property
+    def take(self) -> int | None:
+        """Number of this take of the person with the expression, as a plan names its folder."""
+        first = take_folder(self.subject, self.expression, 1)
+        number = self.root.name.removeprefix(f"{first}+")
+        if self.root.name == first:
+            return 1
+        return int(number) if number != self.root.name and number.isdecimal() else None
 
 
 def sessions_of(folder: Path, processed: Path | None = None) -> list[Seen]:
@@ -113,7 +133,8 @@ def seen_session(root: Path) -> Seen | None:
             seen = _by_session_file(root)
         else:
             return None
-        return dataclasses.replace(seen, checked=_checked(root))
+        checked, why = _checked(root)
+        return dataclasses.replace(seen, checked=checked, why=why)
     except (LightstageError, OSError) as error:
         return Seen(root, said=str(error))
 
@@ -137,8 +158,12 @@ def _by_journal(root: Path) -> Seen:
     )
     if last.get("event") == "end":
         report = last.get("capture")
-        accepted = report.get("accepted") if isinstance(report, dict) else 0
-        return dataclasses.replace(seen, accepted=accepted if type(accepted) is int else 0)
+        told = report if isinstance(report, dict) else {}
+        accepted, findings = (
+            value if type(value := told.get(name)) is int else 0
+            for name in ("accepted", "accepted_findings")
+        )
+        return dataclasses.replace(seen, accepted=accepted, findings=findings)
     if "led_device" not in begin and (root / "session.json").is_file():  # imported
         return seen
     # Few sessions are unfinished: their journals are read whole.
@@ -190,18 +215,21 @@ def _by_session_file(root: Path) -> Seen:
     )
 
 
-def _checked(root: Path) -> Checked:
+def _checked(root: Path) -> tuple[Checked, str]:
+    """What a check noted, and why it failed."""
     path, session = root / CHECKED, root / "session.json"
     if not path.exists():
-        return "not checked"
+        return "not checked", ""
     try:
         value = read_json(path, CHECKED_SCHEMA)
     except LightstageError:
-        return "not checked"
+        return "not checked", ""
     now = sha256_file(session) if session.is_file() else ""
     if value.get("session_sha256") != now:
-        return "changed since"
-    return "passed" if value.get("passed") is True else "failed"
+        return "changed since", ""
+    if value.get("passed") is True:
+        return "passed", ""
+    return "failed", printable_lines(str(value.get("said") or ""))
 
 
 def processed_of(folder: Path) -> dict[str, list[Path]]:

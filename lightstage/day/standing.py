@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import Literal
 
+from lightstage.counting import counted
 from lightstage.day.plan import DayPlan, Take
 from lightstage.day.sessions import Seen, seen_session
 from lightstage.errors import CaptureError
@@ -15,7 +16,7 @@ Stand = Literal["done", "again", "begun", "running", "damaged", "to come"]
 
 @dataclasses.dataclass(frozen=True)
 class Planned:
-    """One take of a plan and what lies on the disk of it.
+    """One take of a plan and its sessions on the disk.
 
     Attributes:
         take: what is wanted.
@@ -31,12 +32,18 @@ class Planned:
 
     @property
     def open(self) -> bool:
-        """Whether it is to be captured, or gone on with."""
+        """Whether it is to be captured, or resumed."""
         return self.stand in ("to come", "again", "begun")
+
+    @property
+    def accepted(self) -> str:
+        """What the operator accepted, such as ``with 2 findings accepted``; empty for nothing."""
+        findings = sum(seen.findings for seen in self.sessions)
+        return f"with {counted(findings, 'finding')} accepted" if findings else ""
 
 
 def sessions_folder(plan: DayPlan, path: Path) -> Path:
-    """Where a plan's sessions lie.
+    """Where a plan's sessions are.
 
     Args:
         plan: the day.
@@ -52,7 +59,7 @@ def planned(plan: DayPlan, path: Path) -> list[Planned]:
 
 
 def stand_of(take: Take, folder: Path) -> Planned:
-    """What lies on the disk of one take.
+    """What is on the disk of one take.
 
     Args:
         take: of a plan.
@@ -102,7 +109,7 @@ def next_open(plan: DayPlan, path: Path, name: str | None = None) -> Planned:
         found_text, hint = "no subject", "Add a table [[subjects]] with subject and consent."
     else:
         stands = [each.stand for each in takes]
-        said = [f"{stands.count(s)} {s}" for s in dict.fromkeys(stands)]
-        found_text = f"nothing to capture: {', '.join(said)}"
+        counts = [f"{stands.count(s)} {s}" for s in dict.fromkeys(stands)]
+        found_text = f"nothing to capture: {', '.join(counts)}"
         hint = "Add a subject, or want one again under [takes]."
     raise CaptureError(path, found=found_text, expected="a take that is to come", hint=hint)

@@ -1,6 +1,6 @@
 """Where faces are: a single-shot detector on a small copy of the picture [Bazarevsky2019].
 
-For every anchor, a place of a coarse grid, the network tells a score, a square beside the anchor
+For every anchor, a place of a coarse grid, the network gives a score, a square beside the anchor
 and six points, of which the eyes turn the crop. Squares of one face that overlap are not thrown
 away but averaged by their scores, which keeps a face from trembling [Bazarevsky2019, section 4].
 """
@@ -76,7 +76,7 @@ def find(image_srgb: np.ndarray, least_score: float, overlap: float) -> list[Fou
 
 
 def _letterboxed(image: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
-    """The picture as a square of the network's size, black beside it, and where it lies there."""
+    """The picture as a square of the network's size, black beside it, and where it is there."""
     import cv2
 
     height, width = image.shape[:2]

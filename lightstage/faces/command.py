@@ -66,7 +66,7 @@ def landmarks_command(
                 image = read_photo(path)
                 faces = detect_faces(image)
                 chosen = faces[face - 1] if face <= len(faces) else None
-                facts[path.stem] = _told(faces, chosen)
+                facts[path.stem] = _facts(faces, chosen)
                 if chosen is None:
                     warnings.append(f"{path}: {_too_few(len(faces), face)}")
                 else:
@@ -108,7 +108,7 @@ def _too_few(there: int, wanted: int) -> str:
     return "no face" if there == 0 else f"{counted(there, 'face')}, no number {wanted}"
 
 
-def _told(faces: list[Face], chosen: Face | None) -> dict[str, Any]:
+def _facts(faces: list[Face], chosen: Face | None) -> dict[str, Any]:
     """A photograph's facts."""
     return {
         "boxes_px": [[round(c, 1) for c in face.box_px] for face in faces],

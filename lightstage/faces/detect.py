@@ -21,7 +21,7 @@ LEAST_SCORE = 0.5
 ONE_FACE = 0.3
 """Detections that overlap by more than this share are one face."""
 LEAST_PRESENCE = 0.5
-"""What the points' network must say of a face's last crop."""
+"""The least confidence of the points' network in a face's last crop."""
 TURNS_DEG = (0.0, 45.0, -45.0, 90.0, -90.0)
 """How the small copy is turned, one after the other, until a face is found."""
 PASSES = 3
@@ -31,7 +31,7 @@ SMALL_PX = 512
 LARGEST = 1 << 15
 """Pixels a side; larger pictures cannot be resampled."""
 LEAST_SIZE_PX = 8.0
-"""Of a face; smaller ones tell nothing."""
+"""Of a face; smaller ones are not used."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Face:
     Attributes:
         points_px: (468, 2) float64, MediaPipe's points [Kartynnik2019]; the top-left pixel's centre
             is (0.5, 0.5). Those that the head hides are where they would be seen through it, and
-            those that the picture's edge cuts lie outside of it.
+            those that the picture's edge cuts are outside of it.
         depth_px: (468,) away from the camera, to the points' scale, zero at the head's middle.
         presence: 0..1, how sure the network is that this is a face.
         box_px: x0, y0, x1, y1 around the points.
@@ -110,7 +110,7 @@ def _over(crop: Crop, factor: np.ndarray) -> tuple[float, float]:
 
 
 def _turned(small: np.ndarray, turn_deg: float) -> list[Found]:
-    """What is found in a picture that was turned, told in the picture itself."""
+    """What is found in a picture that was turned, in the picture's own coordinates."""
     import cv2
 
     if turn_deg == 0:

@@ -1,7 +1,7 @@
 """468 points on a face, seen by a network in an upright crop of it [Kartynnik2019].
 
 The crop is a square turned so that the eyes are level, with a quarter of the face's size to spare
-on each side. The network tells the points in the crop's pixels, their depths to the same scale, and
+on each side. The network gives the points in the crop's pixels, their depths to the same scale, and
 whether it sees a face at all.
 """
 
@@ -43,7 +43,7 @@ class Crop(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What the network tells of a crop, in the picture's pixels.
+    """What the network finds in a crop, in the picture's pixels.
 
     Attributes:
         points_px: (468, 2).
@@ -64,7 +64,7 @@ def crop_of_found(found: Found) -> Crop:
 
 
 def crop_of_points(points_px: np.ndarray) -> Crop:
-    """The crop that a face's own points ask for: tighter and more level than a detector's."""
+    """The crop by a face's own (468, 2) points: tighter and more level than a detector's."""
     across = points_px[LEFT_EYE] - points_px[RIGHT_EYE]
     level = Crop(np.zeros(2), 1.0, float(np.arctan2(across[1], across[0]))).axes()
     turned = points_px @ level.T
@@ -92,7 +92,7 @@ def see(image_srgb: np.ndarray, crop: Crop) -> Seen:
 
 
 def _pixels(image: np.ndarray, crop: Crop) -> np.ndarray:
-    """(192, 192, 3) uint8: the crop resampled; beside the picture, its edge goes on."""
+    """(192, 192, 3) uint8: the crop resampled; beside the picture, its edge continues."""
     import cv2
 
     axes = crop.axes()

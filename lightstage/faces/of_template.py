@@ -1,4 +1,4 @@
-"""A template's own landmarks from a detected face, by where the 468 points lie on the template.
+"""A template's own landmarks from a detected face, by where the 468 points are on the template.
 
 Who marks landmarks decides what a brow's or a jaw's landmark is; the detector's points have
 meanings of their own. Each landmark is therefore a mean of points near it, weighted so that on the
@@ -17,7 +17,7 @@ SMOOTH = 1.0
 """How much a point's distance costs: small follows the template closer and the detector's noise
 more."""
 MISSED_MM = 3.0
-"""A landmark that its points miss by more on the template, such as the jaw's, is not told."""
+"""A landmark that its points miss by more on the template, such as the jaw's, is left out."""
 SEEN_SHARE = 0.7
 """Of a landmark's weights that must be those of visible points."""
 
@@ -32,7 +32,7 @@ def landmark_weights(points_mm: np.ndarray, landmarks_mm: np.ndarray) -> np.ndar
         landmarks_mm: (m, 3) the template's landmarks.
 
     Returns:
-        (m, n); rows of zeros for landmarks that cannot be told.
+        (m, n); rows of zeros for landmarks that cannot be computed.
     """
     weights = np.zeros((len(landmarks_mm), len(points_mm)))
     known = np.flatnonzero(np.isfinite(points_mm).all(axis=1))
@@ -58,11 +58,11 @@ def template_landmarks(face: Face, weights: np.ndarray) -> np.ndarray:
         weights: (m, 468) of `landmark_weights`.
 
     Returns:
-        (m, 2) pixels, NaN where the head hides a landmark or it cannot be told.
+        (m, 2) pixels, NaN where the head hides a landmark or it cannot be computed.
     """
     seen = weights * visible(face)
     total = seen.sum(axis=1, keepdims=True)
-    told = total[:, 0] >= SEEN_SHARE
+    seen_enough = total[:, 0] >= SEEN_SHARE
     out = np.full((len(weights), 2), np.nan)
-    out[told] = (seen[told] / total[told]) @ face.points_px
+    out[seen_enough] = (seen[seen_enough] / total[seen_enough]) @ face.points_px
     return out

@@ -30,7 +30,7 @@ are only near: the mesh has no points on the edge that a jaw shows to a camera."
 FACING = 0.2
 """A point whose normal makes a smaller cosine with the line of sight is hidden by the head."""
 NEIGHBOURS = 9
-"""Points that tell a normal."""
+"""Points that determine a normal."""
 
 
 def ibug68(points: np.ndarray) -> np.ndarray:
@@ -39,9 +39,9 @@ def ibug68(points: np.ndarray) -> np.ndarray:
 
 
 def visible(face: Face) -> np.ndarray:
-    """Which points the camera sees, as far as the face's own shape tells.
+    """Which points the camera sees, as far as the face's own shape shows.
 
-    The points with their depths are a relief of the face; its normals tell what turns away. Hair
+    The points with their depths are a relief of the face; its normals show what turns away. Hair
     and hands in front of it are not known of.
 
     Returns:

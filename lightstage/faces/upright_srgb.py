@@ -17,8 +17,9 @@ EXPECTED = "a JPEG, PNG or TIFF"
 def read_photo(path: Path) -> np.ndarray:
     """Read a JPEG, PNG or TIFF for the detector.
 
-    What the detector does not need is not asked for: grey becomes colour, 16 bits become 8,
-    transparency is left out, and a colour profile counts for nothing. A JPEG is turned as it says.
+    What the detector does not need is removed: grey becomes colour, 16 bits become 8,
+    transparency is left out, and a colour profile counts for nothing. A JPEG is turned by its own
+    mark.
 
     Returns:
         (h, w, 3) uint8, red green blue.
@@ -28,7 +29,7 @@ def read_photo(path: Path) -> np.ndarray:
     """
     import cv2
 
-    # Told what it is before it is opened: a pipe would be waited for.
+    # Its type is checked before it is opened: a pipe would be waited for.
     os.close(open_regular(path, EXPECTED))
     kind = developed_kind(path)
     if kind is None:

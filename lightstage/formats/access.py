@@ -1,4 +1,4 @@
-"""Who may read what shows a person's face: its owner, the lab's group if the lab says so."""
+"""Who may read what shows a person's face: its owner, the lab's group if the lab wants it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 Group = Literal["nothing", "read", "write"]
-"""What the group of a folder may do with it and with what lies in it."""
+"""What the group of a folder may do with it and with what is in it."""
 
 _MASKS: dict[Group, int] = {"nothing": 0o077, "read": 0o027, "write": 0o007}
 
@@ -23,9 +23,9 @@ class _Process:
 
 @contextlib.contextmanager
 def private_command() -> Iterator[None]:
-    """Make all that a command writes its owner's alone, until it says otherwise.
+    """Make all that a command writes its owner's alone, until it decides otherwise.
 
-    It says so by `share`, which is called for outputs that show nobody, or by `limited_access`,
+    It decides so by `share`, which is called for outputs that show nobody, or by `limited_access`,
     which gives the lab's group what it may have.
     """
     _Process.users_umask = os.umask(_MASKS["nothing"])
@@ -46,7 +46,7 @@ def share() -> None:
 def limited_access(group: Group = "nothing") -> Iterator[None]:
     """Make new files and folders of this process and its children private within the block.
 
-    What the user's own umask says is set aside: folders are 0700 and files 0600, with the group's
+    The user's own umask is set aside: folders are 0700 and files 0600, with the group's
     permissions beside that where `group` gives it any. Temporary files have these permissions from
     their first byte on, so that what is renamed has them too. The umask is one for all threads of
     the process: this belongs around a whole command.

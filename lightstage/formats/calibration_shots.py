@@ -1,7 +1,7 @@
 """LAB/KIND-UTC/calibration.json: one folder of calibration shots, a session for each pose.
 
-calibration.json is there from the beginning, and says when it was finished; unfinished shots count
-for nothing and can be gone on with.
+calibration.json is there from the beginning, and states when it was finished; unfinished shots
+count for nothing and can be resumed.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Shots:
 
     @property
     def sha256(self) -> str:
-        """Of calibration.json, which holds the hashes of all that lies beside it."""
+        """Of calibration.json, which holds the hashes of all that is beside it."""
         return sha256_file(self.root / NAME)
 
     def save(self) -> None:
@@ -101,11 +101,11 @@ class Shots:
         write_json(self.root / NAME, self.file.model_dump(by_alias=True, mode="json"))
 
     def changed(self) -> list[LightstageError]:
-        """One error for each pose whose session or manifest is gone or was changed since."""
+        """One error for each pose whose session or manifest is missing or was changed since."""
         problems: list[LightstageError] = []
         for pose in self.file.poses:
-            told = {"session.json": pose.session_sha256, MANIFEST: pose.manifest_sha256}
-            for name, sha256 in told.items():
+            hashes = {"session.json": pose.session_sha256, MANIFEST: pose.manifest_sha256}
+            for name, sha256 in hashes.items():
                 path = self.root / pose.folder / name
                 if sha256 is None or (path.is_file() and sha256_file(path) == sha256):
                     continue
@@ -126,7 +126,7 @@ def read_shots(root: Path) -> Shots:
 
     Raises:
         FormatError: no calibration.json, or every field of it that is wrong, in one message; a
-            pose's folder that does not lie in this one is wrong too.
+            pose's folder that is not in this one is wrong too.
     """
     path = root / NAME
     value = read_json(path, SCHEMA)

@@ -1,4 +1,4 @@
-"""cameras.json: how cameras were measured. A session's says so where nobody measured them."""
+"""cameras.json: how cameras were measured. A session's states it where nobody measured them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NAME = "cameras.json"
 
 
 def read_session_cameras(session: Session) -> dict[str, Any]:
-    """What a session tells of how its cameras were measured; empty where it tells nothing.
+    """A session's facts on how its cameras were measured; empty where it has none.
 
     Raises:
         FormatError: session.json names a file that is not there or of another schema.
@@ -21,13 +21,13 @@ def read_session_cameras(session: Session) -> dict[str, Any]:
     return {} if named is None else dict(read_json(session.root / named, SCHEMA))
 
 
-def said_approximate(told: dict[str, Any]) -> list[str]:
+def approximate_warnings(facts: dict[str, Any]) -> list[str]:
     """A warning where cameras were found from the photographs themselves; else none."""
-    if not told.get("approximate"):
+    if not facts.get("approximate"):
         return []
-    lengths = ", ".join(told.get("scale", {}).get("lengths", {}))
+    lengths = ", ".join(facts.get("scale", {}).get("lengths", {}))
     return [
         "the cameras are approximate: found from the photographs themselves "
-        f"({told.get('residual_px')} px), scaled by {lengths}; every length in mm is as good as "
-        "that, and where lights stood is not known"
+        f"({facts.get('residual_px')} px), scaled by {lengths}; every length in mm is as good as "
+        "that, and where lamps were is not known"
     ]

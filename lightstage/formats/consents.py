@@ -94,9 +94,9 @@ class Consents:
                 wrong.append(f"{who} carries no id of a consent")
                 continue
             known = self.by_id.get(consent_id)
-            said = "is not in it" if known is None else known.problem(purpose, day)
-            if said:
-                wrong.append(f"{consent_id} ({who}) {said}")
+            problem = "is not in it" if known is None else known.problem(purpose, day)
+            if problem:
+                wrong.append(f"{consent_id} ({who}) {problem}")
         if wrong:
             more = f"; and {len(wrong) - NAMED} more" if len(wrong) > NAMED else ""
             raise ConfigError(
@@ -119,7 +119,7 @@ def read_consents(path: Path) -> Consents:
 
     Raises:
         ConfigError, FormatError: no registry, an unknown key or purpose, an id that is none or
-            stands twice, a date that is none; all in one message.
+            is there twice, a date that is none; all in one message.
     """
     value = read_json(path) if path.suffix == ".json" else read_toml_value(path)
     check_schema(path, value, SCHEMA)

@@ -170,8 +170,8 @@ def _stored(path: Path) -> np.ndarray:
 def _is_cut(path: Path) -> bool:
     """Whether a scan-line picture ends before all of its blocks of lines.
 
-    OpenEXR would say so too, but prints lines of its own to the terminal beside. It is asked where
-    the header is damaged or of another layout.
+    OpenEXR would report it too, but prints lines of its own to the terminal beside. It is used
+    where the header is damaged or of another layout.
     """
     size = path.stat().st_size
     with path.open("rb") as handle:
@@ -207,7 +207,7 @@ def _text(handle: BinaryIO) -> bytes:
 
 
 def require_finite(image: np.ndarray, where: str | Path) -> None:
-    """Raise FormatError when an array holds NaN or an infinity, naming the first place."""
+    """FormatError when a (h, w[, c]) array holds NaN or an infinity; it names the first place."""
     bad = ~np.isfinite(image)
     if bad.any():
         first = tuple(int(i) for i in np.argwhere(bad)[0])

@@ -19,7 +19,7 @@ class Fields:
     """Asks a JSON object for its fields.
 
     Args:
-        value: what stands in the file where an object is wanted.
+        value: what is in the file where an object is wanted.
         where: the file, for errors.
         place: of the object in the file, such as ``lights[3]``; empty for the whole file.
         error: the class of the errors; every method raises it where a field is missing or is
@@ -88,7 +88,7 @@ class Fields:
         return [[float(each) for each in row] for row in value]
 
     def rest(self) -> dict[str, Any]:
-        """What else stands there: others may add fields, and they are kept."""
+        """What else is there: others may add fields, and they are kept."""
         return {key: value for key, value in self._value.items() if key not in self._known}
 
     def _get(self, key: str) -> Any:

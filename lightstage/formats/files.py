@@ -44,7 +44,8 @@ def atomic_path(path: Path, size: int | None = None) -> Iterator[Path]:
 
     Args:
         path: the file to write or to replace.
-        size: its bytes, where they are known: what a full disk then says is missing.
+        size: its bytes, where they are known, so that an error of a full disk names what is
+        missing.
 
     Raises:
         DiskFullError: the disk filled up, whatever the writer raised for it.
@@ -253,7 +254,7 @@ def check_schema(path: Path, value: Any, schema: str) -> None:
             field="schema",
             found=repr(found),
             expected=repr(schema),
-            hint="docs/formats.md says what each file holds.",
+            hint="docs/formats.md describes each file.",
         )
     if int(digits) > int(major):
         raise FormatError(

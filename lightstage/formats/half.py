@@ -105,7 +105,7 @@ def has_infinity(half: np.ndarray) -> bool:
 
 @njit(cache=True, nogil=True)
 def _count(bits: np.ndarray, looked_at: int) -> int:
-    """How many are infinite as far as some bits tell; by the exponent alone NaN count, too."""
+    """How many are infinite as far as some bits show; by the exponent alone NaN count, too."""
     count = 0
     for i in range(len(bits)):
         count += (bits[i] & looked_at) == _SPECIAL

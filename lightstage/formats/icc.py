@@ -14,7 +14,7 @@ from lightstage.printable import printable
 
 MOST_TAGS = 200
 CODES = 65536
-"""Places at which a curve is told."""
+"""Places at which a curve is sampled."""
 _PARAMETERS = (1, 3, 4, 5, 7)
 """Numbers of a parametric curve, by its type."""
 _HINT = "Convert the picture to sRGB or Adobe RGB with 16 bits, or take the camera's RAW."
@@ -56,7 +56,7 @@ def read_profile(data: bytes, where: str | Path) -> Profile:
     """Read a profile.
 
     Args:
-        data: as it stands in the picture.
+        data: as it is in the picture.
         where: the picture, for errors.
 
     Raises:

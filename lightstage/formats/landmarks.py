@@ -54,7 +54,7 @@ def read_points_px(path: Path, scheme: str = SCHEME) -> dict[str, np.ndarray]:
 
 
 def write_points_px(points_px: dict[str, np.ndarray], path: Path, scheme: str = SCHEME) -> Path:
-    """Write landmarks.json; NaN rows become null."""
+    """Write landmarks.json, (n, 2) pixels by camera; NaN rows become null."""
     value = {camera: _entries(points) for camera, points in points_px.items()}
     return write_json(path, {"schema": SCHEMA, "scheme": scheme, "points_px": value})
 
@@ -69,7 +69,7 @@ def read_points_mm(path: Path) -> np.ndarray:
 
 
 def write_points_mm(points_mm: np.ndarray, path: Path) -> Path:
-    """Write landmarks of a mesh; NaN rows become null."""
+    """Write (68, 3) landmarks of a mesh; NaN rows become null."""
     value = {"schema": SCHEMA, "scheme": SCHEME, "points_mm": _entries(points_mm)}
     return write_json(path, value)
 
@@ -81,7 +81,7 @@ _OF = {
 
 
 def _require_not_the_other(path: Path, value: dict[str, object], wanted: str, other: str) -> None:
-    """Say which of the two kinds of landmarks a file holds in place of the wanted one."""
+    """Name which of the two kinds of landmarks a file holds in place of the wanted one."""
     if wanted not in value and other in value:
         raise FormatError(
             path,

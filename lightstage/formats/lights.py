@@ -1,4 +1,4 @@
-"""Measured lights, lightstage.lights/1: where each lamp stands and what it gives.
+"""Measured lights, lightstage.lights/1: where each lamp is and what it gives.
 
     {"schema": "lightstage.lights/1", "exponent": 1.0,
      "lights": [{"id": 0, "position_mm": [x, y, z], "rgb_gain": [r, g, b],
@@ -124,8 +124,8 @@ def read_measured_lights(path: Path, rig: Rig) -> MeasuredLights:
     if not 0 <= exponent <= MOST_EXPONENT:
         fault("exponent", str(value.get("exponent")), f"a number of 0..{MOST_EXPONENT:g}")
     stray = {}
-    told = value.get("stray", {})
-    for name, cells in (told if isinstance(told, dict) else {"": told}).items():
+    given = value.get("stray", {})
+    for name, cells in (given if isinstance(given, dict) else {"": given}).items():
         stray[name] = _numbers(cells, (3, 3, 4))
         if not np.isfinite(stray[name]).all():
             fault(f"stray.{name}", "something else", "3 x 3 x 4 finite numbers")

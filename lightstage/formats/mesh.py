@@ -42,7 +42,7 @@ class Mesh:
         return _split(self.face_uvs, self.faces)
 
     def with_vertices(self, vertices: np.ndarray) -> Mesh:
-        """The same topology and UV at other places."""
+        """The same topology and UV at other places (n, 3)."""
         return dataclasses.replace(self, vertices=np.asarray(vertices, float))
 
 

@@ -20,9 +20,9 @@ SCRIPTS = ("LATIN", "GREEK", "CYRILLIC")
 def pseudonym_problem(text: str) -> str | None:
     """Why a text cannot stand for a person in a session; None where it can.
 
-    Refused are paths, addresses, control and invisible characters, letters that only look like
-    others (full width, mathematical, scripts mixed so that two subjects look the same), names that
-    a file system changes (a dot or space at the end) or keeps for itself.
+    Refused are paths, addresses, control and invisible characters, letters that only resemble
+    others (full width, mathematical, scripts mixed so that two subjects resemble each other), names
+    that a file system changes (a dot or space at the end) or keeps for itself.
 
     Args:
         text: composed (NFC).
@@ -64,7 +64,7 @@ def require_pseudonym(
     A name with a blank is taken here, as sessions of before such were refused may have one.
 
     Args:
-        text: what the file says.
+        text: from the file.
         where: the file.
         field: of the file.
         error: what to raise.

@@ -20,7 +20,7 @@ class Orientation:
     mirrored: bool = False
 
     def upright(self, picture: np.ndarray) -> np.ndarray:
-        """A view of (h, w, ...) as it stands upright."""
+        """A view of (h, w, ...) turned upright."""
         return np.rot90(picture[:, ::-1] if self.mirrored else picture, self.turns)
 
     def as_read(self, picture: np.ndarray) -> np.ndarray:
@@ -35,7 +35,7 @@ class Orientation:
     def place_as_read(
         self, x_px: float, y_px: float, width_px: int, height_px: int
     ) -> tuple[float, float]:
-        """Where a place of the upright picture lies in what the sensor reads, pixels.
+        """Where a place of the upright picture is in what the sensor reads, pixels.
 
         Args:
             x_px: from the upright picture's left side.

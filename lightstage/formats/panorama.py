@@ -46,7 +46,7 @@ def read_panorama(path: Path) -> np.ndarray:
 
 
 def require_panorama(radiance: np.ndarray, where: str | Path) -> None:
-    """FormatError unless an array is a latitude-longitude picture of light."""
+    """FormatError unless an array is a (h, 2 h, 3) latitude-longitude picture of light."""
     shape = radiance.shape
     good = len(shape) == 3 and shape[2] == 3 and shape[0] >= 1 and shape[1] == 2 * shape[0]
     if not good or shape[0] * shape[1] > MOST_TEXELS:

@@ -18,80 +18,80 @@ _HINT = "Give a path inside the folder, with /, without .. and without links tha
 
 def path_inside(
     root: Path,
-    said: Any,
+    given: Any,
     where: str | Path,
     field: str = "",
     error: type[LightstageError] = FormatError,
 ) -> Path:
-    """Where a relative path lies that a file names, which must not leave its folder.
+    """The path of a relative path that a file names, which must not leave its folder.
 
     Args:
         root: the folder.
-        said: what stands in the file; in a valid one, a path with ``/`` relative to `root`.
-        where: the file that says it, for the error.
+        given: from the file; in a valid one, a path with ``/`` relative to `root`.
+        where: the file that names it, for the error.
         field: of that file.
         error: the class of the error.
 
     Returns:
-        The path below `root`; whether anything lies there is for the caller to see.
+        The path below `root`; whether anything is there is for the caller to see.
 
     Raises:
         error: no text, an absolute path, one with ``..``, with a backslash or with control
             characters, or one that leads out of the folder over a link.
     """
-    path = root / relative_path(said, where, field, error)
+    path = root / relative_path(given, where, field, error)
     try:
         inside = path.resolve().is_relative_to(root.resolve())
         wrong = "" if inside else "which leads out of the folder over a link"
     except (OSError, RuntimeError):  # links that lead back to themselves
         wrong = "which leads nowhere"
     if wrong:
-        raise _no_path(said, wrong, where, field, error)
+        raise _no_path(given, wrong, where, field, error)
     return path
 
 
 def relative_path(
-    said: Any, where: str | Path, field: str = "", error: type[LightstageError] = FormatError
+    given: Any, where: str | Path, field: str = "", error: type[LightstageError] = FormatError
 ) -> str:
-    """A path as `path_inside` takes it by its text alone, whatever links lie on the disk.
+    """A path as `path_inside` takes it by its text alone, whatever links are on the disk.
 
     Arguments and errors are those of `path_inside`.
     """
-    wrong = _path_problem(said)
+    wrong = _path_problem(given)
     if wrong is not None:
-        raise _no_path(said, wrong, where, field, error)
-    return str(said)
+        raise _no_path(given, wrong, where, field, error)
+    return str(given)
 
 
 def check_name(
-    said: Any, where: str | Path, field: str, error: type[LightstageError] = FormatError
+    given: Any, where: str | Path, field: str, error: type[LightstageError] = FormatError
 ) -> str:
     """An id or a name of a file that becomes the name of a file or a folder.
 
     Args:
-        said: what stands in the file.
-        where: the file that says it, for the error.
+        given: from the file.
+        where: the file that names it, for the error.
         field: of that file.
         error: the class of the error.
 
     Raises:
         error: anything but a plain name.
     """
-    if not isinstance(said, str) or not NAME.fullmatch(said):
+    if not isinstance(given, str) or not NAME.fullmatch(given):
         raise error(
             where,
             field=field,
-            found=ascii(said)[:100],
+            found=ascii(given)[:100],
             expected=NAME_RULE,
             hint="It becomes the name of a file or a folder.",
         )
-    return said
+    return given
 
 
 def _no_path(
-    said: Any, wrong: str, where: str | Path, field: str, error: type[LightstageError]
+    given: Any, wrong: str, where: str | Path, field: str, error: type[LightstageError]
 ) -> LightstageError:
-    shown = ascii(said)
+    shown = ascii(given)
     return error(
         where,
         field=field,
@@ -101,13 +101,13 @@ def _no_path(
     )
 
 
-def _path_problem(said: Any) -> str | None:
+def _path_problem(given: Any) -> str | None:
     """Why a text is no path that stays in its folder; None where it is one."""
-    if not isinstance(said, str) or not said:
+    if not isinstance(given, str) or not given:
         return "no path"
-    if "\\" in said or not said.isprintable():
+    if "\\" in given or not given.isprintable():
         return "with a backslash or a character that cannot be printed"
-    pure = PurePosixPath(said)
+    pure = PurePosixPath(given)
     if pure.is_absolute():
         return "an absolute path"
     return "which leaves the folder" if ".." in pure.parts else None

@@ -1,7 +1,7 @@
 """PNG files of 8-bit and 16-bit pictures: encoded in memory, then written whole.
 
 OpenCV's own writer returns False where a disk is full or a folder is missing; the bytes written
-here raise what the system says.
+here raise the system's own error.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def png_bytes(pixels: np.ndarray, where: str | Path, options: Sequence[int] = ()
     """A picture as the bytes of a PNG file; arguments and errors as `write_png`.
 
     Args:
-        pixels: the picture.
+        pixels: (h, w[, c]), the picture.
         where: what to name in an error.
         options: OpenCV's.
     """

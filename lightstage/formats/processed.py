@@ -1,4 +1,4 @@
-"""Processed folder: where each map of a session lies and what it holds; truth has the same form."""
+"""Processed folder: where each map of a session is and what it holds; truth has the same form."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class ProcessedFolder:
         return self.root / "atlas" / f"{name}.exr"
 
     def write_view(self, camera: str, name: str, image: np.ndarray) -> Path:
-        """Write a view's map atomically in its format."""
+        """Write a view's (h, w[, 3]) map atomically in its format."""
         return write_map(self.view_path(camera, name), name, image)
 
     def read_view(self, camera: str, name: str) -> np.ndarray:
@@ -122,7 +122,7 @@ class ProcessedFolder:
         return np.asarray(image) > 127
 
     def write_atlas(self, name: str, image: np.ndarray) -> Path:
-        """Write an atlas map atomically in its format."""
+        """Write an atlas's (rows, columns[, 3]) map atomically in its format."""
         return write_map(self.atlas_path(name), name, image)
 
     def read_atlas(self, name: str) -> np.ndarray:
@@ -131,7 +131,7 @@ class ProcessedFolder:
 
 
 def write_map(path: Path, name: str, image: np.ndarray) -> Path:
-    """Write one map; FormatError when its channels are not those of its name."""
+    """Write one (h, w[, c]) map; FormatError when its channels are not those of its name."""
     spec = _spec(name)
     if (1 if image.ndim == 2 else image.shape[2]) != spec.channels:
         raise FormatError(path, found=f"shape {image.shape}", expected=f"{spec.channels} channels")

@@ -25,8 +25,8 @@ class Frame(BaseModel):
     """One photograph of a session.
 
     Others may add fields. A capture adds ``take`` (1, or more where it was taken again),
-    ``acknowledged`` (whether the lights told that they were lit), and ``verified`` where less than
-    its hash could be compared after a crash (``size and header``).
+    ``acknowledged`` (whether the lights reported that they were lit), and ``verified`` where less
+    than its hash could be compared after a crash (``size and header``).
     """
 
     model_config = ConfigDict(extra="allow", frozen=True)
@@ -104,7 +104,7 @@ class Session:
         )
 
     def frame_path(self, frame: Frame) -> Path:
-        """Where a photograph lies."""
+        """The file of a photograph."""
         return self.root / frame.path
 
     def levels(self, pattern: str) -> np.ndarray:
@@ -164,7 +164,7 @@ def save_session(root: Path, file: SessionFile) -> Path:
 
 
 def state_hash(levels: np.ndarray) -> str:
-    """SHA-256 of a light state's 16-bit levels (little endian), as the wire acknowledges it."""
+    """SHA-256 of a state's (n,) 16-bit levels (little endian), as the wire acknowledges it."""
     counts = np.round(np.asarray(levels, float) * 65535).astype("<u2")
     return hashlib.sha256(counts.tobytes()).hexdigest()
 

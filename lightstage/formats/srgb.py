@@ -1,4 +1,4 @@
-"""Display values of sRGB to linear light, and the space that linear colours are told in."""
+"""Display values of sRGB to linear light, and the space of linear colours."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ XYZ_FROM_SRGB = np.array(
 
 
 def linear_from_srgb(image_srgb: np.ndarray) -> np.ndarray:
-    """Decode sRGB in 0..1 to linear. Any shape.
+    """Decode (...) sRGB in 0..1 to (...) linear values.
 
     Source: [IEC61966].
     """

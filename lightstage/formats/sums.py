@@ -1,4 +1,4 @@
-"""Patterns whose light must add up alike, and what is said where their photographs do not.
+"""Patterns whose light must add up alike, and the fault where their photographs do not.
 
 Light is linear: a gradient and its complement sum to `full`, and without `full` the pairs of all
 axes sum to the same. `lightstage check` and the stage `decode` hold photographs to it, by the same
@@ -67,7 +67,7 @@ def axes_alike(levels: Mapping[str, np.ndarray]) -> list[Balance]:
 
 
 def has_gradient(levels: Mapping[str, np.ndarray]) -> bool:
-    """Whether any pattern is one whose light others should complete."""
+    """Whether any pattern, (n,) levels by name, is one whose light others should complete."""
     return any(complement(name) is not None for name in levels)
 
 
@@ -90,7 +90,7 @@ def sum_fault(
     """
     if abs(left - right) <= SUM_TOLERANCE * abs(right):
         return None
-    said = [
+    shares = [
         f"{' + '.join(names)} = {value:.4g}"
         for names, value in ((balance.left, left), (balance.right, right))
     ]
@@ -98,7 +98,7 @@ def sum_fault(
     return FormatError(
         root / "session.json",
         field=f"patterns of {camera}",
-        found=f"{said[0]} on average, {said[1]}",
+        found=f"{shares[0]} on average, {shares[1]}",
         expected=f"equal within {100 * SUM_TOLERANCE:g} %",
         hint=f"{why} {hint}".rstrip(),
     )

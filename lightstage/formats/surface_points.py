@@ -29,9 +29,9 @@ class SurfacePoints:
 
     Attributes:
         scheme: what the points are, by their order.
-        triangles: (n, 3) int64 vertex indices; -1 where a point does not lie on the mesh.
+        triangles: (n, 3) int64 vertex indices; -1 where a point is not on the mesh.
         weights: (n, 3) of the three vertices, summing to 1; NaN there.
-        spread_mm: (n,) how far the views that found a point lie apart on it, NaN there.
+        spread_mm: (n,) how far the views that found a point are apart on it, NaN there.
     """
 
     scheme: str

@@ -59,7 +59,7 @@ class Template:
     depth_ratio: float = 1.0
     """People's faces are so many times as deep, from the ears to the front, as the mesh's."""
     face_points: SurfacePoints | None = None
-    """Where the face detector's 468 points lie on the mesh, where the folder tells it."""
+    """Where the face detector's 468 points are on the mesh, where the folder has them."""
 
 
 def default_template_path() -> Path:
@@ -102,8 +102,8 @@ def load_template(path: Path) -> Template:
             path / "template.json", field="units", found=repr(value.get("units")), expected="'mm'"
         )
     count = len(mesh.vertices)
-    told = Fields(value.get("landmarks", {}), path / "template.json", "landmarks").rest()
-    marks = told.get("ibug68")
+    landmarks = Fields(value.get("landmarks", {}), path / "template.json", "landmarks").rest()
+    marks = landmarks.get("ibug68")
     if not isinstance(marks, list) or not _is_indices(marks, count) or len(marks) != 68:
         raise FormatError(
             path / "template.json",

@@ -3,7 +3,7 @@
 A file may come from another laboratory, a damaged disk or somebody who means harm. The reader takes
 regular files alone and opens them without waiting, so that a pipe or a device cannot hold a command
 up. It refuses what JSON and TOML allow and a program stumbles over: values nested very deeply, a
-key that stands twice, numbers that no 64 bits hold, NaN and infinity, text with NUL characters.
+key that is there twice, numbers that no 64 bits hold, NaN and infinity, text with NUL characters.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Limits:
         size_bytes: of the whole.
         depth: lists and objects in each other.
         plain_text: whether text must be free of NUL characters and of halves of characters. Names
-            that a camera told its capture may hold such things.
+            that a camera gave its capture may hold such things.
     """
 
     size_bytes: int = 1 << 26
@@ -90,7 +90,7 @@ def read_text_lines(path: Path, wanted: str) -> list[str]:
 
     Args:
         path: the file; it has the limits of a TOML file.
-        wanted: what an error says was expected.
+        wanted: what an error names as expected.
     """
     data = read_regular(path, TOML.size_bytes, wanted, ConfigError)
     return _text(data, path, ConfigError).splitlines()
@@ -147,7 +147,7 @@ def read_regular(
     Args:
         path: the file, or a link to it.
         most_bytes: a larger one is refused.
-        wanted: what an error says was expected.
+        wanted: what an error names as expected.
         error: the class of the errors.
 
     Raises:
@@ -199,7 +199,7 @@ _OTHER_KINDS = (
 
 
 class _TwiceError(ValueError):
-    """A key that stands twice in one object."""
+    """A key that is in one object twice."""
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -213,8 +213,8 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _unreadable(path: Path, wrong: OSError, wanted: str, error: type[LightstageError]) -> NoReturn:
     if isinstance(wrong, FileNotFoundError):
         raise error(path, found="no such file", expected=wanted) from None
-    said = wrong.strerror or str(wrong)
-    raise error(path, found=said, expected=f"{wanted} that can be read") from None
+    reason = wrong.strerror or str(wrong)
+    raise error(path, found=reason, expected=f"{wanted} that can be read") from None
 
 
 def _require_regular(
@@ -272,7 +272,7 @@ def _check(value: Any, where: str | Path, limits: Limits, error: type[Lightstage
 
 
 def _place(place: str, key: str | int, depth: int) -> str:
-    """Where a value stands, such as ``lights[3].name``; empty for the whole file's value."""
+    """A value's place, such as ``lights[3].name``; empty for the whole file's value."""
     if depth == 0:
         return ""
     if isinstance(key, int):

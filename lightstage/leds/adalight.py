@@ -15,7 +15,7 @@ from lightstage.leds.guard import LastWill
 from lightstage.leds.unanswered import UnansweredLeds
 
 BOOT_WORD = b"Ada\n"
-"""What a board says when it has come up (and now and then while it hears nothing)."""
+"""What a board sends when it has come up (and now and then while it receives nothing)."""
 
 
 class SerialLine(Line, Protocol):
@@ -56,7 +56,7 @@ class Tint:
         return np.asarray((steps / self._full) ** self._gamma)
 
     def pixels(self, steps: np.ndarray) -> bytes:
-        """Three bytes an LED."""
+        """Three bytes an LED, of (n,) steps."""
         values = np.round(steps[:, None] * (self._primaries / self._full))
         return values.astype(np.uint8).tobytes()
 
@@ -115,7 +115,7 @@ class AdalightLeds(UnansweredLeds):
         self._line.close()
 
     def _open(self) -> SerialLine:
-        """Open the line and give a board that starts then the time to say so."""
+        """Open the line and give a board that starts then the time to report it."""
         line = opened(self._connect, self._where)
         try:
             heard = b""

@@ -17,7 +17,7 @@ MULTICAST = "multicast"
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """What every URL may say.
+    """What every URL may have.
 
     Attributes:
         timeout_s: how long one attempt waits for its answer, or for the port to take the bytes.
@@ -120,6 +120,8 @@ EXPECTED = (
     "adalight:///dev/ttyX?baud=.., sacn://HOST or sacn://multicast?universe=.., "
     "ws://HOST:8080/ws of ICL's stage"
 )
+_NAMED = r"[^=,:/?&]+=[a-z0-9]+://"
+"""How an entry begins that names its controller."""
 RANGES: dict[str, tuple[float, float]] = {
     "timeout_s": (1e-3, 3600),
     "attempts": (1, 100),
@@ -142,7 +144,7 @@ class Address:
         scheme: serial, pty, socket, adalight, sacn or ws.
         place: device file, or host.
         port: of the host; 0 for device files.
-        options: what stood behind the question mark.
+        options: from behind the question mark.
         path: on the host, of ws alone.
     """
 
@@ -162,6 +164,38 @@ class Address:
 
     def __str__(self) -> str:
         return self.place if not self.port else f"{self.place}:{self.port}"
+
+
+def parse_leds(text: str) -> dict[str, Address]:
+    """Read what `--leds` gives: one URL, or one of each controller: ``NAME=URL,NAME=URL``.
+
+    Returns:
+        Addresses by the controllers' names; a URL without a name under the empty one.
+
+    Raises:
+        ConfigError: as `parse_url`; a name or a device twice.
+    """
+    if not re.match(_NAMED, text):
+        return {"": parse_url(text)}
+    found: dict[str, Address] = {}
+    for part in re.split(f",(?={_NAMED})", text):
+        name, _, url = part.partition("=")
+        address = parse_url(url)
+        if name in found or address in found.values():
+            what = "name" if name in found else "device"
+            raise ConfigError(
+                "--leds", found=f"{part}: a {what} that is there already", expected="each once"
+            )
+        found[name] = address
+    return found
+
+
+def worst_answer_s(text: str) -> float:
+    """Longest time that one request takes, whatever happens; `text` as of `parse_leds`.
+
+    Several controllers are asked at the same time.
+    """
+    return max(address.worst_s for address in parse_leds(text).values())
 
 
 def parse_url(url: str) -> Address:

@@ -41,7 +41,7 @@ AnyLine = TypeVar("AnyLine")
 
 
 def _why(error: OSError) -> str:
-    """Why a port does not open; pyserial says the system's words twice, with their number."""
+    """Why a port does not open; pyserial prints the system's words twice, with their number."""
     return (os.strerror(error.errno) if error.errno else str(error)).lower()
 
 
@@ -139,7 +139,7 @@ class SocketLine:
                 if not self._socket.recv(65536):
                     break
         except OSError:
-            pass  # it is gone, or is not read
+            pass  # it is closed, or is not read
         self.close()
 
     def _give_lock_back(self) -> None:
@@ -173,7 +173,7 @@ def lock_address(name: str) -> IO[bytes]:
 
 
 def in_use(where: str) -> DeviceError:
-    """What a second capture on one device is told."""
+    """The message for a second capture on one device."""
     return DeviceError(
         where,
         found="another program that is using it",

@@ -16,17 +16,17 @@ class LightLostError(DeviceError):
 
 @dataclasses.dataclass(frozen=True)
 class Hello:
-    """Who an LED device says it is.
+    """An LED device's identity.
 
     Attributes:
-        boot_id: changes whenever the device was reset (and went dark); 0 where it cannot tell.
+        boot_id: changes whenever the device was reset (and went dark); 0 where it is not known.
         light_count: how many lights it drives.
         firmware: its version text.
         watchdog_s: after so long without a packet it goes dark by itself; None where it is not
             known to do so.
-        pulse_hz: how often a second it switches its lights to dim them; None where not told.
+        pulse_hz: how often a second it switches its lamps to dim them; None where not known.
         keep_alive_s: how often its protocol repeats a state that does not change; None where it
-            does not say.
+            is not known.
     """
 
     boot_id: int
@@ -40,8 +40,8 @@ class Hello:
 class LedController(Protocol):
     """Lights. Every method raises DeviceError when the device fails. Several threads may call.
 
-    A controller that does not acknowledge says so: what it lights is then what was sent, and every
-    photograph taken under it is recorded as unacknowledged.
+    A controller that does not acknowledge states it: what it lights is then what was sent, and
+    every photograph taken under it is recorded as unacknowledged.
     """
 
     @property
@@ -50,7 +50,7 @@ class LedController(Protocol):
 
     @property
     def acknowledged(self) -> bool:
-        """Whether the device tells what is lit."""
+        """Whether the device reports what is lit."""
 
     @property
     def pulse_hz(self) -> float | None:

@@ -38,7 +38,7 @@ def data_packet(
     Returns:
         638 bytes.
     """
-    values = b"\0" + slots.ljust(SLOTS, b"\0")  # the start code 0 says: dimmer levels
+    values = b"\0" + slots.ljust(SLOTS, b"\0")  # the start code 0 means dimmer levels
     dmp = struct.pack(">BBHHH", _SET_PROPERTY, _ADDRESS_TYPE, 0, 1, len(values)) + values
     dmp = _length(dmp)
     label = name.encode()[:63].decode(errors="ignore").encode()

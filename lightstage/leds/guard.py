@@ -1,4 +1,4 @@
-"""What a device is told when the capture is gone, and the process that tells it (guardian.py)."""
+"""What a device is sent when the capture has ended, and the process that sends it (guardian.py)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -47,6 +48,21 @@ class HasLastWill(Protocol):
         """What it must send for that."""
 
 
+@runtime_checkable
+class HasLastWills(Protocol):
+    """The same of several devices."""
+
+    def last_wills(self) -> tuple[LastWill, ...]:
+        """One of each device."""
+
+
+def last_wills(lights: object) -> tuple[LastWill, ...]:
+    """What makes each device of a controller dark; none where no other process can."""
+    if isinstance(lights, HasLastWills):
+        return lights.last_wills()
+    return (lights.last_will(),) if isinstance(lights, HasLastWill) else ()
+
+
 class Guardian:
     """The process that makes a device dark should this one be killed.
 
@@ -54,7 +70,7 @@ class Guardian:
 
     Args:
         will: what it sends.
-        silence_s: a capture that has not said for so long that it lives counts as dead.
+        silence_s: a capture that has not reported for so long that it lives counts as dead.
 
     Raises:
         DeviceError: the process cannot be started.
@@ -68,7 +84,7 @@ class Guardian:
             pass_fds=will.handles,
             start_new_session=True,
         )
-        told = {
+        settings = {
             "handle": will.handles[0],
             "messages": [(data.hex(), where) for data, where in will.messages],
             "answer": will.answer.hex(),
@@ -79,7 +95,7 @@ class Guardian:
             "patience_s": PATIENCE_S,
         }
         assert self._child.stdout is not None
-        ready = self._say(json.dumps(told).encode() + b"\n") and self._child.stdout.read(1)
+        ready = self._say(json.dumps(settings).encode() + b"\n") and self._child.stdout.read(1)
         if ready != b"r":
             self._child.kill()
             self._child.wait()
@@ -97,11 +113,11 @@ class Guardian:
 
     @property
     def alive(self) -> bool:
-        """Whether it watches; after a long silence it has put the lights out and is gone."""
+        """Whether it watches; after a long silence it has put the lights out and ended."""
         return self._child.poll() is None
 
     def beat(self) -> None:
-        """Say that this process lives."""
+        """Report that this process lives."""
         self._say(b".")
 
     def goodbye(self) -> None:
@@ -118,7 +134,7 @@ class Guardian:
             assert self._child.stdin is not None
             self._child.stdin.write(data)
             self._child.stdin.flush()
-        except (OSError, ValueError):  # it has ended, or was told goodbye by another thread
+        except (OSError, ValueError):  # it has ended, or was dismissed by another thread
             return False
         return True
 
@@ -134,3 +150,49 @@ class Guardian:
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.wait()
+
+
+class Guardians:
+    """One guardian of each device, as if they were one.
+
+    Args:
+        wills: of the devices, at least one.
+        silence_s: as of `Guardian`.
+
+    Raises:
+        DeviceError: a process cannot be started; then none is left.
+    """
+
+    def __init__(self, wills: Sequence[LastWill], silence_s: float) -> None:
+        self._each: list[Guardian] = []
+        try:
+            for will in wills:
+                self._each.append(Guardian(will, silence_s))
+        except BaseException:
+            self.goodbye()
+            raise
+
+    @property
+    def pids(self) -> tuple[int, ...]:
+        """Their process numbers."""
+        return tuple(each.pid for each in self._each)
+
+    @property
+    def alive(self) -> bool:
+        """Whether all of them watch."""
+        return all(each.alive for each in self._each)
+
+    def beat(self) -> None:
+        """Say that this process lives."""
+        for each in self._each:
+            each.beat()
+
+    def goodbye(self) -> None:
+        """All lights are dark: they end."""
+        for each in self._each:
+            each.goodbye()
+
+    def leave(self) -> None:
+        """Let them do their work, as if this process had been killed."""
+        for each in self._each:
+            each.leave()

@@ -4,7 +4,7 @@ Run as a script with nothing but the standard library, so that it is there in a 
 a second: `python -I -S guardian.py`, as lightstage/leds/guard.py does. Its standard input is a pipe
 from the capture: one line of JSON (what to send, on which of the inherited handles), then `.` for
 "still there", and `!` for "all is well, go". When the pipe ends without that, because the capture
-was killed, or stands still too long, it sends what makes the device dark and goes.
+was killed, or hangs too long, it sends what makes the device dark and ends.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 ANSWER_WAIT_S = 0.25
 PAUSE_S = 0.03
 HEAD_END = b"\r\n\r\n"
-"""Ends what HTTP says before a connection is a WebSocket."""
+"""Ends the HTTP header before a connection is a WebSocket."""
 
 
 def main() -> int:
@@ -36,17 +36,17 @@ def main() -> int:
         if not data:
             return 0  # nothing was lit yet
         pending += data
-    head, _, said = pending.partition(b"\n")
+    head, _, received = pending.partition(b"\n")
     will = json.loads(head)
     with contextlib.suppress(BrokenPipeError):  # killed meanwhile: the lines below notice it
         os.write(1, b"r")
-    while b"!" not in said:
+    while b"!" not in received:
         if not select.select([0], [], [], will["silence_s"])[0]:
             break
-        said = os.read(0, 65536)
-        if not said:
+        received = os.read(0, 65536)
+        if not received:
             break
-    if b"!" in said:
+    if b"!" in received:
         return 0
     dark = make_dark_anew(will) if will.get("connect") else make_dark(will)
     return 0 if dark else 1
@@ -91,7 +91,7 @@ def hear(line: socket.socket, heard: bytes, wanted: bytes, until: float) -> byte
 
 
 def ended(handle: int) -> bool:
-    """Say that the capture's connection ends; whether the device has ended it as well, in time."""
+    """Announce that the capture's connection ends; whether the device ended it too, in time."""
     line = socket.socket(fileno=os.dup(handle))
     until = time.monotonic() + ANSWER_WAIT_S
     try:

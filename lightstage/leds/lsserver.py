@@ -1,4 +1,4 @@
-"""What is said to ICL's lsserver and by it: one map of CBOR a message (docs/icl.md). Pure bytes.
+"""Messages to and from ICL's lsserver: one map of CBOR each (docs/icl.md). Pure bytes.
 
 The commands are those of lsserver 0.4 and its client [Lsserver2026]; CBOR is [RFC8949-2020].
 """
@@ -46,20 +46,20 @@ class Reply:
 
     @property
     def error(self) -> str | None:
-        """What the server says is wrong; None where nothing is."""
+        """The server's error; None where there is none."""
         error = self.response.get("Error") if isinstance(self.response, dict) else None
         if error is None:
             return None
-        told = error if isinstance(error, dict) else {}
-        return ": ".join(printable(told.get(key, "?")) for key in ("code", "message"))
+        fields = error if isinstance(error, dict) else {}
+        return ": ".join(printable(fields.get(key, "?")) for key in ("code", "message"))
 
 
 @dataclasses.dataclass(frozen=True)
 class Event:
-    """What the server tells everybody by itself.
+    """What the server sends everybody by itself.
 
     Attributes:
-        mode: to which it has changed; None where it tells something else.
+        mode: to which it has changed; None where it sends something else.
     """
 
     mode: str | None
@@ -95,7 +95,7 @@ def set_fixtures(counts: np.ndarray) -> dict[str, Any]:
 
 
 def read_message(data: bytes) -> Reply | Event:
-    """What a message says; LsserverError where it is none of lsserver's."""
+    """A message's content; LsserverError where it is none of lsserver's."""
     try:
         message = cbor2.loads(data)
     except Exception:  # it decodes dates, fractions and the like too, each with errors of its own
@@ -116,7 +116,7 @@ def read_message(data: bytes) -> Reply | Event:
 
 
 def read_grid(response: Any) -> tuple[int, int]:
-    """Arcs, and lights of each, as GetConfig's answer tells; LsserverError on any other answer."""
+    """Arcs, and lights of each, from GetConfig's answer; LsserverError on any other answer."""
     config = response.get("Config") if isinstance(response, dict) else None
     if not isinstance(config, dict):
         raise LsserverError(f"an answer to GetConfig that is {_kind(response)}")

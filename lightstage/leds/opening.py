@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from types import TracebackType
 from typing import Protocol, Self
 
 from lightstage.counting import counted
-from lightstage.errors import ConfigError, RigError
+from lightstage.errors import ConfigError, DeviceError, RigError
 from lightstage.leds.adalight import AdalightLeds
 from lightstage.leds.address import (
     AdalightOptions,
@@ -14,6 +15,7 @@ from lightstage.leds.address import (
     IclOptions,
     SacnOptions,
     SerialOptions,
+    parse_leds,
     parse_url,
 )
 from lightstage.leds.connection import Line, SocketLine
@@ -43,31 +45,86 @@ class OpenLeds(LedController, Protocol):
     ) -> None: ...
 
 
-def open_rig_leds(url: str | Address, rig: Rig) -> OpenLeds:
-    """Open the LED device of a URL for a rig's lights, each at its address.
+def open_rig_leds(leds: str, rig: Rig) -> OpenLeds:
+    """Open the LED devices of a rig's lights, each light at its address.
+
+    Args:
+        leds: as `--leds` takes it: a URL, or one of each controller (`parse_leds`).
+        rig: whose addresses name the controllers.
 
     Raises:
-        ConfigError, DeviceError: as `open_leds`.
-        RigError: lights on several controllers, of which one URL opens one.
+        ConfigError, DeviceError: as `open_wired_leds`.
+        RigError: other controllers than `leds` names.
     """
-    device = open_leds(url, channel_count(rig))
-    if not rig.addressed:
-        return device
-    return WiredLeds(device, [address.channel for address in rig.addresses])
+    if rig.addressed:
+        return open_wired_leds(leds, rig)
+    (address,) = _addresses(leds, rig).values()
+    return open_leds(address, len(rig.lights))
 
 
-def channel_count(rig: Rig) -> int:
-    """Channels that a device needs for a rig's lights; RigError where several devices would."""
-    names = list(dict.fromkeys(address.controller for address in rig.addresses))
-    if len(names) > 1:
+def open_wired_leds(leds: str, rig: Rig, channels: int = 0) -> WiredLeds:
+    """The same, also where the rig gives no address; they can be wired anew.
+
+    Args:
+        leds: as of `open_rig_leds`.
+        rig: the same.
+        channels: at least so many of a device that does not tell how many it has.
+
+    Raises:
+        ConfigError: a malformed URL, or a line that cannot carry so many lights.
+        DeviceError: nobody there, or in use by another program; of several devices one that has
+            fewer channels than the rig needs.
+        RigError: other controllers than `leds` names.
+    """
+    addresses, needed = _addresses(leds, rig), channels_needed(rig)
+    with contextlib.ExitStack() as opened:
+        devices = {
+            name: opened.enter_context(open_leds(address, max(needed[name], channels)))
+            for name, address in addresses.items()
+        }
+        wired = WiredLeds(devices, rig.addresses)
+        for name, count in wired.counts.items() if len(devices) > 1 else ():
+            if count < needed[name]:
+                raise DeviceError(
+                    f"LED device {name} at {addresses[name]}",
+                    field="light count",
+                    found=str(count),
+                    expected=f"at least {needed[name]} (addresses in rig.json)",
+                    hint="Is this the rig file of this stage, and each controller at its own URL?",
+                )
+        opened.pop_all()
+    return wired
+
+
+def channels_needed(rig: Rig) -> dict[str, int]:
+    """How many channels each controller needs for a rig's lights, by its name."""
+    needed: dict[str, int] = {}
+    for each in rig.addresses:
+        needed[each.controller] = max(needed.get(each.controller, 0), each.channel + 1)
+    return needed
+
+
+def require_controllers(leds: str, rig: Rig) -> None:
+    """ConfigError or RigError where `leds` does not name a rig's controllers; nothing is opened."""
+    _addresses(leds, rig)
+
+
+def _addresses(leds: str, rig: Rig) -> dict[str, Address]:
+    """The address of each controller of a rig; RigError where `leds` names others."""
+    given, needed = parse_leds(leds), channels_needed(rig)
+    if set(given) == {""} and len(needed) == 1:
+        return {next(iter(needed)): given[""]}
+    if set(given) != set(needed):
+        named = f"URLs of {', '.join(given)}" if "" not in given else "one URL"
         raise RigError(
             "rig",
             field="lights[].address.controller",
-            found=f"{len(names)} controllers ({', '.join(names)})",
-            expected="one: --leds opens one device",
-            hint="Give all lights one controller, and channels that count on over its outputs.",
+            found=f"{counted(len(needed), 'controller')} ({', '.join(needed)}), and {named} "
+            "in --leds",
+            expected="a URL of each controller",
+            hint=f"Give --leds '{','.join(f'{name}=URL' for name in needed)}'.",
         )
-    return max(address.channel for address in rig.addresses) + 1
+    return {name: given[name] for name in needed}
 
 
 def open_leds(url: str | Address, light_count: int) -> OpenLeds:
@@ -75,7 +132,7 @@ def open_leds(url: str | Address, light_count: int) -> OpenLeds:
 
     Args:
         url: as `--leds` takes it, or what `parse_url` made of it.
-        light_count: channels that the rig's lights need. A device of our own protocol tells how
+        light_count: channels that the rig's lamps need. A device of our own protocol reports how
             many it has (`hello.light_count`): a capture compares.
 
     Raises:

@@ -18,7 +18,7 @@ from lightstage.leds.unanswered import UnansweredLeds
 
 NAME = "lightstage"
 END_PACKETS = 3
-"""A source that ends says so three times."""
+"""A source that ends announces it three times."""
 SPREAD = (0, 64, 128, 192)
 """A receiver drops a packet whose number is up to 19 behind the last: of these it drops one."""
 

@@ -33,7 +33,8 @@ class SerialPort:
         until = time.monotonic() + BUSY_WAIT_S
         while True:
             try:
-                # Reading never waits: what `select` saw may be gone, or less than was counted.
+                # Reading never waits: what `select` saw may be read by now, or less than was
+                # counted.
                 self._port = serial.Serial(
                     path, baud, timeout=0, write_timeout=timeout_s, exclusive=True
                 )

@@ -22,7 +22,7 @@ class UnansweredLeds(Closing):
         light_count: lights of the rig.
         firmware: what is recorded of the device.
         options: of its address.
-        keep_alive_s: how often the protocol repeats a state; None where it does not say.
+        keep_alive_s: how often the protocol repeats a state; None where it is not known.
     """
 
     acknowledged = False
@@ -44,16 +44,16 @@ class UnansweredLeds(Closing):
 
     @property
     def hello(self) -> Hello:
-        """What the address says."""
+        """From the address."""
         return self._hello
 
     @property
     def pulse_hz(self) -> float | None:
-        """As the address says."""
+        """From the address."""
         return self._pulse_hz
 
     def light(self, levels: np.ndarray) -> np.ndarray:
-        """Send all levels; returns when they are out and had time to settle."""
+        """Send all (n,) levels; returns when they are out and had time to settle."""
         steps = self._to_steps(levels)
         if len(steps) != self._hello.light_count:
             raise DeviceError(
@@ -65,7 +65,7 @@ class UnansweredLeds(Closing):
         with self._turn:
             self._steps = steps
             self._send(self._repeats)
-        # Others may speak to the device meanwhile: to keep it awake, or to make it dark at once.
+        # Others may send to the device meanwhile: to keep it awake, or to make it dark at once.
         time.sleep(self._settle_s)
         return self._to_levels(steps)
 

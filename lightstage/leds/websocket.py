@@ -134,7 +134,7 @@ class WebSocketLine:
         raise DeviceError(where, found=found, expected=EXPECTED, hint=hint)
 
 
-_HINT = "Is it lsserver that answers at this host and port (8080 unless told otherwise)?"
+_HINT = "Is it lsserver that answers at this host and port (8080 unless set otherwise)?"
 
 
 def greeting(host: str, port: int, path: str) -> bytes:
@@ -151,5 +151,5 @@ def masked(data: bytes) -> bytes:
 
 def _client(host: str, port: int, path: str) -> ClientProtocol:
     name = f"[{host}]" if ":" in host else host
-    # No extension is offered: what is answered stands on the line as it is.
+    # No extension is offered: an answer is on the line as it is.
     return ClientProtocol(parse_uri(f"ws://{name}:{port}{path}"), max_size=MOST_BYTES)

@@ -58,7 +58,7 @@ def encode(packet: Packet) -> bytes:
 
 
 def decode(frame: bytes) -> Packet:
-    """The packet in what stood between two zeros; WireError when COBS, version or CRC is wrong."""
+    """The packet from between two zeros; WireError when COBS, version or CRC is wrong."""
     try:
         decoded = bytes(cobs.decode(frame))
     except cobs.DecodeError as error:
@@ -120,20 +120,20 @@ def level_counts(levels: np.ndarray) -> np.ndarray:
 
 
 def set_payload(counts: np.ndarray) -> bytes:
-    """SET's payload: light count, then one count a light."""
+    """SET's payload of (n,) counts: their number, then one count a lamp."""
     return struct.pack("<H", len(counts)) + counts.astype("<u2").tobytes()
 
 
 def lit_payload(counts: np.ndarray) -> bytes:
-    """LIT's payload for these counts: their SHA-256."""
+    """LIT's payload for (n,) counts: their SHA-256."""
     return hashlib.sha256(counts.astype("<u2").tobytes()).digest()
 
 
 def parse_hello(payload: bytes) -> Hello:
     """HELLO's fields; WireError when it is too short, no UTF-8, or a known field is no number.
 
-    What stands behind the firmware's text is divided by zero bytes: ``name=value``. Unknown names
-    are passed over; a device that says nothing there has no watchdog that is known of.
+    What is behind the firmware's text is divided by zero bytes: ``name=value``. Unknown names
+    are skipped; a device that has nothing there has no watchdog that is known of.
     """
     if len(payload) < 6:
         raise WireError(f"a HELLO of {counted(len(payload), 'byte')}")
@@ -142,27 +142,27 @@ def parse_hello(payload: bytes) -> Hello:
         firmware, *fields = payload[6:].decode().split("\0")
     except UnicodeDecodeError as error:
         raise WireError(str(error)) from None
-    told = dict(field.split("=", 1) for field in fields if "=" in field)
-    watchdog_ms, pulse_hz = _positive(told, "watchdog_ms"), _positive(told, "pulse_hz")
+    values = dict(field.split("=", 1) for field in fields if "=" in field)
+    watchdog_ms, pulse_hz = _positive(values, "watchdog_ms"), _positive(values, "pulse_hz")
     watchdog_s = None if watchdog_ms is None else watchdog_ms / 1e3
     return Hello(boot_id, count, printable(firmware), watchdog_s, pulse_hz)
 
 
-def _positive(told: dict[str, str], name: str) -> float | None:
-    """A field's number; None where it is not told."""
-    if name not in told:
+def _positive(values: dict[str, str], name: str) -> float | None:
+    """A field's number; None where it is missing."""
+    if name not in values:
         return None
     try:
-        value = float(told[name])
+        value = float(values[name])
     except ValueError:
         value = 0.0
     if not 0 < value < 1e9:
-        raise WireError(f"{name}={told[name]}")
+        raise WireError(f"{name}={values[name]}")
     return value
 
 
 def parse_refused(payload: bytes) -> str:
-    """What a REFUSED says, as text."""
+    """The content of a REFUSED, as text."""
     code = payload[0] if payload else 0
     known = {1: "unknown type", 2: "wrong light count", 3: "bad length"}
     reason = printable(payload[1:].decode(errors="replace"))

@@ -35,7 +35,7 @@ class WireLeds(Closing):
         connect: opens the line; called again by `recover` where the line broke.
         timeout_s: how long one attempt waits for its answer; nothing is repeated before it is over.
         attempts: how often a request is sent before the device counts as silent.
-        pulse_hz: where the device does not tell it itself.
+        pulse_hz: where the device does not report it itself.
         first_sequence: of the first request; random by default, since a device that saw this
             number last would take the request for a repetition.
 
@@ -87,11 +87,11 @@ class WireLeds(Closing):
 
     @property
     def pulse_hz(self) -> float | None:
-        """As the address says, else as the device says."""
+        """As in the address, else as the device reports."""
         return self._told_pulse_hz or self._hello.pulse_hz
 
     def light(self, levels: np.ndarray) -> np.ndarray:
-        """Set all lights and wait for LIT with the hash of exactly these levels."""
+        """Set all lamps to (n,) levels and wait for LIT with the hash of exactly these."""
         counts = wire.level_counts(levels)
         with self._turn:
             self._wanted = wire.lit_payload(counts)
@@ -115,7 +115,7 @@ class WireLeds(Closing):
             except LightLostError:
                 if self._boot_id == boot_id:
                     raise
-                # It was reset and said so just now: once more to the one that came up.
+                # It was reset and has just reported it: once more to the one that came up.
                 self._expect_lit(Kind.DARK, b"")
 
     def recover(self) -> Hello:

@@ -7,19 +7,31 @@ import contextlib
 import dataclasses
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 from lightstage.errors import LightstageError
 from lightstage.findings import Finding
 from lightstage.formats.config import require_bounds
 
-Wish = Literal["abort", "retake", "pause", "resume"]
-"""``retake`` is of the pattern that is done next; ``resume`` ends a pause."""
+Do = Literal["abort", "retake", "pause", "resume"]
+"""``resume`` ends a pause."""
 Decision = Literal["retake", "accept", "abort"]
 Request = Literal["retake", "accept", "abort", "pause", "resume"]
 
 NOT_TAKEN = "not-taken"
 """Code of a finding without a photograph: there is nothing to accept."""
+
+
+class Wish(NamedTuple):
+    """What a running capture shall do.
+
+    Attributes:
+        do: what.
+        pattern: of a ``retake``: which one is taken again, where it is known; otherwise empty.
+    """
+
+    do: Do
+    pattern: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,7 +40,7 @@ class OperatorConfig:
 
     Attributes:
         retakes: of each pattern, before a capture that nobody attends gives up.
-        then: what it does then: ``abort`` (a later --resume goes on there), or ``accept`` (keeps
+        then: what it does then: ``abort`` (a later --resume continues there), or ``accept`` (keeps
             the photograph as it is, where there is one; the finding is in the journal).
     """
 
@@ -36,7 +48,7 @@ class OperatorConfig:
     then: Literal["abort", "accept"] = "abort"
 
     def __post_init__(self) -> None:
-        """ConfigError on a count that is none: before a light goes on."""
+        """ConfigError on an impossible count: before a light goes on."""
         require_bounds(self, "operator", {"retakes": (0, 1000)})
 
 
@@ -44,7 +56,7 @@ class Operator(Protocol):
     """Somebody, or a rule, who decides. Several threads may call ``told`` and ``request``."""
 
     def command(self) -> Wish | None:
-        """What is wished now; polled. An abort is said again and again."""
+        """What is wished now; polled. An abort is given again and again."""
 
     def decide(self, findings: Sequence[Finding], retakes_left: int) -> Decision:
         """What to do with photographs that do not do; may wait for an answer for ever."""
@@ -52,8 +64,14 @@ class Operator(Protocol):
     def told(self, line: dict[str, Any], old: bool = False) -> None:
         """A line that is in the journal now, or `old` from before a resume; never waits."""
 
-    def request(self, do: str) -> str | None:
-        """Somebody asks for something from elsewhere; why not, or None where it is accepted."""
+    def request(self, do: str, pattern: str = "") -> str | None:
+        """Somebody asks for something from elsewhere; why not, or None where it is accepted.
+
+        Args:
+            do: a Request.
+            pattern: that a retake is of, or that the question is of that is answered; where it is
+                empty, the one that was lit last, or whatever question waits.
+        """
 
     def at_abort(self, act: Callable[[], None]) -> None:
         """Have this done at once when somebody aborts, in the thread that hears it."""
@@ -65,7 +83,7 @@ def possible_answers(codes: Iterable[str]) -> tuple[Decision, ...]:
 
 
 def by_rule(findings: Sequence[Finding], retakes_left: int, config: OperatorConfig) -> Decision:
-    """What is decided without asking: again while it may, then what the configuration says."""
+    """The decision without asking: again while it may, then by the configuration."""
     if not any(finding.severity in ("retake", "refuse") for finding in findings):
         return "accept"
     if retakes_left > 0:
@@ -86,12 +104,21 @@ class Requests:
         self._acts: list[Callable[[], None]] = []
         self._question: tuple[Decision, ...] = ()
         self._answer: Decision | None = None
+        self._asked = ""  # pattern of the latest question
+        self._left: set[str] | None = None  # patterns that are not done; None: not known
+        self._lit: dict[str, None] = {}  # patterns, the one that was lit last at the end
         self._aborted = self._paused = self._over = self._shot = False
 
     @property
     def aborted(self) -> bool:
         """Whether somebody aborted."""
         return self._aborted
+
+    @property
+    def shown(self) -> str:
+        """The pattern that was lit last, which a retake is of that names none."""
+        with self._changed:
+            return next(reversed(self._lit), "")
 
     @property
     def possible(self) -> tuple[Request, ...]:
@@ -101,15 +128,29 @@ class Requests:
                 return ()
             if self._question:
                 return self._question
-            if self._pausing():
-                return ("resume", "abort")
-            return ("retake", "pause", "abort") if self._shot else ("pause", "abort")
+            waits: tuple[Request, ...] = ("resume" if self._pausing() else "pause", "abort")
+            return ("retake", *waits) if self._shot and self._left != set() else waits
 
     def told(self, line: dict[str, Any]) -> None:
         """Know what can be asked for."""
-        event = line.get("event")
-        if event == "shot":
+        event, pattern = line.get("event"), line.get("pattern")
+        if event == "lit" and isinstance(pattern, str):
+            with self._changed:
+                self._lit.pop(pattern, None)
+                self._lit[pattern] = None
+        elif event == "asked":
+            self._asked = pattern if isinstance(pattern, str) else ""
+        elif event == "begin":
+            sequence = line.get("sequence")
+            self._left = set(sequence) if isinstance(sequence, list) else None
+        elif event == "rejected" and self._left is not None:
+            self._left.add(str(pattern))
+        elif event == "retake" and self._left is not None:
+            self._left |= {str(each[0]) for each in line.get("takes", ())}
+        elif event == "shot":
             self._shot = True
+            if self._left is not None:
+                self._left.discard(str(pattern))
         elif event in ("aborted", "end"):
             self._over = True
 
@@ -121,8 +162,8 @@ class Requests:
         if late:
             _do(act)
 
-    def request(self, do: str) -> str | None:
-        """Ask for something; why not, or None where it is accepted."""
+    def request(self, do: str, pattern: str = "") -> str | None:
+        """Ask for something; why not, or None where it is accepted (arguments as `Operator`'s)."""
         if do not in get_args(Request):
             return f"unknown: {do[:40]!r}; there are {', '.join(get_args(Request))}"
         if do == "abort":
@@ -131,24 +172,27 @@ class Requests:
             if self._over or self._aborted:
                 return "the capture is ending"
             if self._question:
-                return self._take_answer(do)
-            why = self._why_not(do)
-            if why is None and do == "resume" and "pause" in self._wishes:
-                self._wishes.remove("pause")  # it did not come to it
+                return self._take_answer(do, pattern)
+            if do == "retake":
+                pattern = pattern or next(reversed(self._lit), "")
+            why = self._why_not(do, pattern)
+            if why is None and do == "resume" and Wish("pause") in self._wishes:
+                self._wishes.remove(Wish("pause"))  # it did not come to it
             elif why is None:
-                self._wishes.extend(wish for wish in get_args(Wish) if wish == do)
+                of = pattern if do == "retake" else ""
+                self._wishes.extend(Wish(wish, of) for wish in get_args(Do) if wish == do)
             return why
 
     def command(self) -> Wish | None:
         """The oldest wish that was not taken up yet."""
         with self._changed:
             if self._aborted:
-                return "abort"
+                return Wish("abort")
             if not self._wishes:
                 return None
             wish = self._wishes.popleft()
-            if wish in ("pause", "resume"):
-                self._paused = wish == "pause"
+            if wish.do in ("pause", "resume"):
+                self._paused = wish.do == "pause"
             return wish
 
     def ask(self, choices: tuple[Decision, ...]) -> Decision:
@@ -168,13 +212,15 @@ class Requests:
                 return "the capture is over"
             acts = [] if self._aborted else list(self._acts)
             self._aborted = True
-        for act in acts:  # before anybody waiting is told: the lights come first
+        for act in acts:  # before anybody waiting is notified: the lights come first
             _do(act)
         with self._changed:
             self._changed.notify_all()
         return None
 
-    def _take_answer(self, do: str) -> str | None:
+    def _take_answer(self, do: str, pattern: str) -> str | None:
+        if pattern and self._asked and pattern != self._asked:
+            return f"a question about {self._asked} waits; this answer is about {pattern[:40]}"
         for choice in self._question:
             if choice == do:
                 if self._answer is not None:
@@ -188,32 +234,35 @@ class Requests:
 
     def _pausing(self) -> bool:
         """Whether it is paused when all wishes are taken up."""
-        asked = [wish for wish in self._wishes if wish in ("pause", "resume")]
-        return asked[-1] == "pause" if asked else self._paused
+        wishes = [wish.do for wish in self._wishes if wish.do in ("pause", "resume")]
+        return wishes[-1] == "pause" if wishes else self._paused
 
-    def _why_not(self, do: str) -> str | None:
+    def _why_not(self, do: str, pattern: str) -> str | None:
         """Why a wish cannot be had now, besides a question that waits."""
         pausing = self._pausing()
         if do == "accept":
             return "nothing waits to be accepted"
         if do == "resume":
             return None if pausing else "it is not paused"
-        if pausing:
-            return "it is paused already" if do == "pause" else "it is paused; continue first"
-        if do == "retake" and not self._shot:
+        if do == "pause":
+            return "it is paused already" if pausing else None
+        if not self._shot:
             return "no pattern is done yet"
-        again = do == "retake" and "retake" in self._wishes
-        return "it is asked for already" if again else None
+        if self._left == set():
+            return "all patterns are done; take it again once the session is complete"
+        if pattern and pattern not in self._lit:
+            return f"no pattern {pattern[:40]!r} was taken"
+        return "it is asked for already" if Wish("retake", pattern) in self._wishes else None
 
 
 def _do(act: Callable[[], None]) -> None:
-    # What fails here is done again, and said, on the capture's own way out.
+    # What fails here is done again, and reported, on the capture's own way out.
     with contextlib.suppress(LightstageError):
         act()
 
 
 class Unattended:
-    """Nobody is asked: retakes while there are any left, then as the configuration says.
+    """Nobody is asked: retakes while there are any left, then by the configuration.
 
     Args:
         config: the rule.
@@ -238,9 +287,9 @@ class Unattended:
         del old
         self._requests.told(line)
 
-    def request(self, do: str) -> str | None:
+    def request(self, do: str, pattern: str = "") -> str | None:
         """Asked from elsewhere; why not, or None where it is accepted."""
-        return self._requests.request(do)
+        return self._requests.request(do, pattern)
 
     def at_abort(self, act: Callable[[], None]) -> None:
         """Do this when somebody aborts."""

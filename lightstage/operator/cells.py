@@ -10,7 +10,7 @@ LOW_BATTERY_PERCENT = 20.0
 
 
 def sayable(text: str, encoding: str) -> str:
-    """A text with question marks for what an encoding lacks; whatever a terminal is, it is told."""
+    """A text with question marks for what an encoding lacks, so that any terminal can show it."""
     if encoding.lower().startswith("utf"):
         return text
     return text.replace("…", ".").encode(encoding, "replace").decode(encoding)
@@ -24,7 +24,7 @@ def short(text: str, longest: int) -> str:
 def battery(camera: CameraView) -> Text:
     """Its charge; a low one has an exclamation mark.
 
-    Of a camera that failed, a good one is no longer known: it was told before.
+    Of a camera that failed, a good one is no longer known: it was reported before.
     """
     if camera.battery_percent is None:
         return Text("-", "dim")

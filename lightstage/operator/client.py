@@ -30,8 +30,8 @@ def follow(
 
     Args:
         session: its folder.
-        stop: asked often; ends it.
-        patience_s: a capture that has not yet told its socket is waited for so long.
+        stop: called often; true ends it.
+        patience_s: a capture that has not yet named its socket is waited for so long.
 
     Raises:
         FormatError: no journal.
@@ -52,12 +52,13 @@ def follow(
                 yield from seen.new(line)  # what was written while the socket closed
 
 
-def ask(session: Path, do: str) -> str | None:
+def ask(session: Path, do: str, pattern: str = "") -> str | None:
     """Ask a running capture for something; why not, or None where it is accepted.
 
     Args:
         session: its folder.
         do: ``retake``, ``accept``, ``abort``, ``pause`` or ``resume``.
+        pattern: that is taken again, or that an answer is about; the latest where it is empty.
 
     Raises:
         FormatError: no journal.
@@ -79,14 +80,15 @@ def ask(session: Path, do: str) -> str | None:
         try:
             connection.connect(seen.socket)
             connection.settimeout(ANSWER_S)
-            connection.sendall(json.dumps({"do": do}).encode() + b"\n")
+            of = {"pattern": pattern} if pattern else {}
+            connection.sendall(json.dumps({"do": do, **of}).encode() + b"\n")
             with connection.makefile("rb") as file:
                 answer = parse_json(file.readline(ANSWER_BYTES), "answer", LINE)
         except (OSError, FormatError):
             raise nobody from None
     if not isinstance(answer, dict):
         raise nobody
-    return None if answer.get("accepted") else text_of(answer, "why") or "it said no"
+    return None if answer.get("accepted") else text_of(answer, "why") or "it refused"
 
 
 def answers(session: Path) -> bool:
@@ -102,7 +104,7 @@ def answers(session: Path) -> bool:
 
 
 class _Seen:
-    """What was given already, and what the lines tell about the capture's life."""
+    """What was given already, and what the lines show of the capture's life."""
 
     def __init__(self) -> None:
         self.last_id = 0
@@ -122,7 +124,7 @@ class _Seen:
 
 
 def _live(path: str, after: int, stop: Callable[[], bool]) -> Iterator[dict[str, Any]]:
-    """Lines from the socket until it closes; nothing where its process is gone."""
+    """Lines from the socket until it closes; none where its process has ended."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
         pending = b""
         with contextlib.suppress(ConnectionError, FileNotFoundError):

@@ -131,7 +131,7 @@ def drawn(screen: Screen, columns: int, rows: int = 30) -> str:
 def _wait_for(journal: Path, wait_s: float) -> None:
     """Wait until a capture has begun; FormatError when that takes too long, Ctrl-C ends."""
     if journal.exists() or not wait_s:
-        return  # who opens it tells what is wrong with it
+        return  # who opens it reports what is wrong with it
     console = Console(stderr=True, highlight=False)
     console.print(
         Text(f"No capture in {printable(journal.parent)} yet: waiting for it. Ctrl-C ends."),
@@ -170,7 +170,7 @@ def _watch(session: Path, view: View) -> None:
         try:
             for line in follow(session, left.is_set):
                 shown.told(line)
-            if not left.is_set():  # it was followed to its end, or until its process was gone
+            if not left.is_set():  # it was followed to its end, or until its process ended
                 view.gone()
         except KeyboardInterrupt:  # Ctrl-C leaves, as q does
             pass

@@ -25,9 +25,9 @@ class Writer(Protocol):
 
 @contextlib.contextmanager
 def serve_events(
-    writer: Writer, request: Callable[[str], str | None], config: EventConfig | None = None
+    writer: Writer, request: Callable[[str, str], str | None], config: EventConfig | None = None
 ) -> Iterator[EventServer]:
-    """Serve a session's events as long as the block lasts; the journal tells where.
+    """Serve a session's events as long as the block lasts; the journal names the socket.
 
     Args:
         writer: the session's, before another thread writes to it.

@@ -19,7 +19,7 @@ class JournalTail(Closing):
     """Reads what a journal has gained since the last look, in a bounded piece of memory.
 
     Only lines that end are given: the last one may still be in the middle of being written, or was
-    cut by a crash; where it is later removed or ended, reading goes on rightly, since the place
+    cut by a crash; where it is later removed or ended, reading continues rightly, since the place
     after the last whole line is kept. A line that is no JSON object (a cut one that a resumed
     capture ended) is passed over. A line without an id gets the one after the line before it.
 

@@ -57,7 +57,7 @@ def key_by_key(handle: int) -> Iterator[None]:
     before = termios.tcgetattr(handle)
 
     def restore() -> None:
-        with contextlib.suppress(OSError, termios.error):  # the terminal may be gone
+        with contextlib.suppress(OSError, termios.error):  # the terminal may be closed
             termios.tcsetattr(handle, termios.TCSANOW, before)
 
     mode = termios.tcgetattr(handle)
@@ -96,7 +96,7 @@ def heard(handle: int, press: Callable[[str], None]) -> Iterator[None]:
                 piece = os.read(handle, 1024)
             except OSError:
                 piece = b""
-            if not piece:  # the terminal is gone; a signal (SIGHUP) says so to the capture
+            if not piece:  # the terminal is closed; a signal (SIGHUP) reports it to the capture
                 return
             key = pressed(piece)
             if key is not None:

@@ -37,12 +37,12 @@ _ERRNO = re.compile(r"\[Errno -?\d+\] ")
 
 
 def _meaning(found: re.Match[str]) -> str:
-    """Another driver's own words are better than its code; libgphoto2's speak to programmers."""
+    """Another driver's own words are better than its code; libgphoto2's are for programmers."""
     return MEANINGS.get(int(found[2]), found[3]) if found[1] else found[3]
 
 
 def cause(text: str, camera: str) -> str:
-    """Why a camera gave no photograph, in plain words, where its name is told beside it.
+    """Why a camera gave no photograph, in plain words, where its name is shown beside it.
 
     Args:
         text: an error of a device: with what it was asked, and what was expected of it.
@@ -50,19 +50,19 @@ def cause(text: str, camera: str) -> str:
     """
     whole, *later = plain(text).split(THEN)
     first, *rest = whole.split("\n")
-    said = "\n".join([_found(first, camera), *rest])
+    message = "\n".join([_found(first, camera), *rest])
     if not later:
-        return said
-    # What to do stands in the first part: it is the cause.
+        return message
+    # What to do is in the first part: it is the cause.
     still = re.split(r"\.(?: [A-Z]|$)", _found(later[-1].split("\n")[0], camera))[0]
-    return f"{said.removesuffix('.')}. It does not start again: {still}."
+    return f"{message.removesuffix('.')}. It does not start again: {still}."
 
 
 def _found(text: str, camera: str) -> str:
     """What was found, without where, and without what was expected."""
-    asked = rf"camera {re.escape(camera)}(?:, [^:\n]*)?: found "
-    text, told = re.subn(asked, "", text, count=1)
-    return re.sub(r", expected .*?(?=\. [A-Z]|\.?$)", "", text) if told else text
+    prefix = rf"camera {re.escape(camera)}(?:, [^:\n]*)?: found "
+    text, removed = re.subn(prefix, "", text, count=1)
+    return re.sub(r", expected .*?(?=\. [A-Z]|\.?$)", "", text) if removed else text
 
 
 def plain(text: str) -> str:

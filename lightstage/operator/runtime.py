@@ -1,4 +1,4 @@
-"""Where sockets of running captures lie: a folder of this user alone."""
+"""The folder of the sockets of running captures: of this user alone."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def new_socket_path() -> Path:
 
 
 def remove_stale(folder: Path) -> list[Path]:
-    """Remove sockets whose process is gone and where nobody answers; returns them."""
+    """Remove sockets whose process has ended and where nobody answers; returns them."""
     removed = []
     for path in sorted(folder.glob("*.sock")):
         match = re.fullmatch(r"(\d+)-[0-9a-f]+\.sock", path.name)

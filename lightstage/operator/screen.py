@@ -84,7 +84,7 @@ class Ask:
 
 @dataclasses.dataclass(frozen=True)
 class Screen:
-    """A renderable: the view as it stands when it is drawn."""
+    """A renderable: the view at the moment when it is drawn."""
 
     view: View
     ask: Ask = dataclasses.field(default_factory=Ask)
@@ -100,8 +100,8 @@ class Screen:
             fixed = 4 + sum(_lines(console, options, part) for part in below)
             room = height - 1 - fixed - self._least_rows()
             share = height // (2 if self.ask.question else 3)
-            said = self._said(console, options, max(2, min(share, room)))
-            below = [*said, *below]
+            news = self._news(console, options, max(2, min(share, room)))
+            below = [*news, *below]
             used = 4 + sum(_lines(console, options, part) for part in below)
             # What need not be there goes first where the terminal is low.
             spare = height - 1 - used - len(self.view.cameras)
@@ -164,10 +164,10 @@ class Screen:
         left_s = late.left_s()
         soon = "soon" if left_s is None else f"in {left_s:.0f} s"
         who = short(", ".join(late.cameras), 24)
-        told = (
+        left = (
             f"{who} late: dark {soon}" if late.lit else f"waiting for {who}: started again {soon}"
         )
-        line.append(f", {told}", "bold yellow")
+        line.append(f", {left}", "bold yellow")
 
     def _least_rows(self) -> int:
         """Lines of the table that must be in view: what needs somebody, and how many more."""
@@ -176,8 +176,8 @@ class Screen:
 
     def _is_needy(self, name: str) -> bool:
         """Whether a camera failed, or the question is about it."""
-        asked = any(item.camera == name for item in self.ask.question)
-        return asked or self.view.cameras[name].state in NEEDY
+        is_in_question = any(item.camera == name for item in self.ask.question)
+        return is_in_question or self.view.cameras[name].state in NEEDY
 
     def _progress(self, width: int, unicode: bool) -> RenderableType:
         view = self.view
@@ -266,8 +266,8 @@ class Screen:
         texts = [f"patterns {part}", part]
         if len(shown) == count:  # all are in view
             texts = [f"{counted(count, 'pattern')}, {at} done", f"{at} of {count} done"]
-        said = [text for text in texts if len(text) <= max(room, len(shown))]
-        return Text(said[0] if said else "")
+        fitting_texts = [text for text in texts if len(text) <= max(room, len(shown))]
+        return Text(fitting_texts[0] if fitting_texts else "")
 
     def _marks(self, camera: str, shown: Sequence[str], wide: int, unicode: bool) -> Text:
         line = Text()
@@ -302,14 +302,14 @@ class Screen:
         line.rstrip()
         return line
 
-    def _said(self, console: Console, options: ConsoleOptions, room: int) -> list[RenderableType]:
+    def _news(self, console: Console, options: ConsoleOptions, room: int) -> list[RenderableType]:
         """The question, or the latest news, as far as there is room for it."""
-        asked = self.ask.question
-        items = [_said(item) for item in merged(asked if asked else self.view.news)]
+        question = self.ask.question
+        items = [_item(item) for item in merged(question if question else self.view.news)]
         gap: list[RenderableType] = [Text()] if room > 4 else []
         room -= len(gap)
         scroll, keys = self.ask.scroll, not self.view.over
-        shown = fitting(items, room, scroll, console, options, not asked, keys)
+        shown = fitting(items, room, scroll, console, options, not question, keys)
         return [*gap, *shown]
 
     def _keys(self, width: int) -> list[RenderableType]:
@@ -332,7 +332,7 @@ class Screen:
         return lines
 
 
-def _said(item: Said) -> RenderableType:
+def _item(item: Said) -> RenderableType:
     line = Table.grid(padding=(0, 1, 0, 0))
     text = item.text if item.text.endswith((".", "!", "?")) else f"{item.text}."
     line.add_row(Text(SIGNS[item.tone], STYLES[item.tone]), Text(text, STYLES[item.tone]))

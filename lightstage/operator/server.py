@@ -2,13 +2,14 @@
 
 A client sends lines of JSON. ``{"after": ID}`` asks for every line of the journal with a larger
 id, those that are written already and then each new one, as they stand in the journal. ``{"do":
-"retake"}`` (or ``accept``, ``abort``, ``pause``, ``resume``) asks for that in the operator's place,
+"retake"}`` (or ``accept``, ``abort``, ``pause``, ``resume``) asks for that in the operator's place
+(``"pattern": "x+"`` beside it names the pattern that is taken again, or that an answer is about),
 and is answered by ``{"answer": "retake", "accepted": true}`` or ``{"answer": "retake", "accepted":
 false, "why": "no pattern is done yet"}``; an answer has no id. Socket and folder belong to the user
 who captures (modes 0600 and 0700).
 
 Nothing is queued for anybody: the journal on the disk is the queue, and each client is a place in
-it. So a slow client costs a buffer of its own and no more, and a capture only says how far the
+it. So a slow client costs a buffer of its own and no more, and a capture only reports how far the
 journal is on the disk: no client sees a line that is not.
 """
 
@@ -59,7 +60,7 @@ class _Client:
 
     def __init__(self, connection: socket.socket) -> None:
         self.connection = connection
-        self.asked = b""
+        self.received = b""
         self.waiting = bytearray()
         self.after: int | None = None  # the last id it has; None before it asked for lines
 
@@ -71,8 +72,8 @@ class EventServer(Closing):
 
     Args:
         journal: journal.jsonl, which exists; the lines that it has now are on the disk.
-        request: called with what a client wants done, from the server's thread; returns why not, or
-            None where it is accepted.
+        request: called with what a client wants done and a pattern (or an empty text), from the
+            server's thread; returns why not, or None where it is accepted.
         config: limits.
 
     Raises:
@@ -83,7 +84,7 @@ class EventServer(Closing):
     def __init__(
         self,
         journal: Path,
-        request: Callable[[str], str | None],
+        request: Callable[[str, str], str | None],
         config: EventConfig | None = None,
     ) -> None:
         self._config = config or EventConfig()
@@ -150,7 +151,7 @@ class EventServer(Closing):
     def _serve(self) -> None:
         until_s = float("inf")
         while True:
-            closing = self._closing.is_set()  # asked once: what was told before it is served
+            closing = self._closing.is_set()  # read once: lines before it are served
             if closing and until_s == float("inf"):
                 until_s = time.monotonic() + self._config.last_words_s
                 self._selector.unregister(self._listener)
@@ -211,25 +212,26 @@ class EventServer(Closing):
         if not piece:
             self._drop(client)
             return
-        *whole, client.asked = (client.asked + piece).split(b"\n")
+        *whole, client.received = (client.received + piece).split(b"\n")
         for raw in whole:
             answer = self._answer(client, raw) if raw.strip() else None
             client.waiting += b"" if answer is None else _line(answer)
-        if max(len(client.asked), len(client.waiting) - BUFFER_BYTES) > ANSWER_LIMIT_BYTES:
+        if max(len(client.received), len(client.waiting) - BUFFER_BYTES) > ANSWER_LIMIT_BYTES:
             self._drop(client)  # endless, or asks without ever reading the answers
 
     def _answer(self, client: _Client, raw: bytes) -> dict[str, Any] | None:
         try:
-            asked = parse_json(raw, "request", LINE)
+            request = parse_json(raw, "request", LINE)
         except FormatError:
-            asked = None
-        if isinstance(asked, dict):
-            after, do = asked.get("after"), asked.get("do")
+            request = None
+        if isinstance(request, dict):
+            after, do = request.get("after"), request.get("do")
             if isinstance(after, int) and not isinstance(after, bool):
                 client.after = after
                 return None
             if isinstance(do, str):
-                why = self._request(do)
+                pattern = request.get("pattern")
+                why = self._request(do, pattern if isinstance(pattern, str) else "")
                 no = {} if why is None else {"why": why}
                 return {"answer": do, "accepted": why is None, **no}
         return {

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.live import Live
 
 from lightstage.findings import Finding
-from lightstage.interrupts import signals_told
+from lightstage.interrupts import on_signals
 from lightstage.operator.attendance import (
     Decision,
     OperatorConfig,
@@ -32,7 +32,7 @@ from lightstage.operator.keys import has_keys, heard, key_by_key
 from lightstage.operator.screen import Ask, Screen
 from lightstage.operator.view import View
 from lightstage.operator.window import Scroll
-from lightstage.operator.words import HEARD, KEYS, Said, said, text_of
+from lightstage.operator.words import HEARD, KEYS, Said, heard_words, said, text_of
 
 PICTURES_PER_S = 5
 LINES_WAITING = 1000
@@ -80,7 +80,7 @@ class TerminalOperator:
                 stack.enter_context(key_by_key(self._keys))
                 stack.enter_context(heard(self._keys, self._press))
             stack.enter_context(self._show)
-            stack.enter_context(signals_told(lambda: self.request("abort")))
+            stack.enter_context(on_signals(lambda: self.request("abort")))
             self._open = stack.pop_all()
         return self
 
@@ -120,14 +120,15 @@ class TerminalOperator:
         finally:
             self._question, self._scroll = [], Scroll()
 
-    def request(self, do: str) -> str | None:
+    def request(self, do: str, pattern: str = "") -> str | None:
         """Asked from elsewhere; why not, or None where it is accepted."""
         if do == "abort" and self._stopped_s is None:  # seen at once; the lights may take longer
             self._heard, self._stopped_s = HEARD[do], time.monotonic()
             self._show.say(Said("stop", HEARD[do]))
-        why = self._requests.request(do)
+        of = "" if self._question else pattern or self._requests.shown
+        why = self._requests.request(do, pattern)
         if why is None:
-            self._heard = HEARD[do]
+            self._heard = heard_words(do, of)
         return why
 
     def at_abort(self, act: Callable[[], None]) -> None:
@@ -207,7 +208,7 @@ class Shown:
         self._write(text)
 
     def say(self, words: Said) -> None:
-        """Write what no line of the journal says; the picture shows it by itself."""
+        """Write what is in no line of the journal; the picture shows it by itself."""
         if self._thread is not None:
             self._write(str(words))
 
@@ -227,7 +228,7 @@ class Shown:
             try:
                 self._console.file.write(sayable(text, self._console.encoding) + "\n")
                 self._console.file.flush()
-            except (OSError, ValueError):  # the reader is gone, or the file is closed
+            except (OSError, ValueError):  # the reader has ended, or the file is closed
                 return
 
 
@@ -235,12 +236,12 @@ class Shown:
 def _drawn_anew(console: Console, picture: Callable[[], Screen]) -> Iterator[None]:
     """A picture that fills the terminal as long as the block lasts; its last state stays below.
 
-    It stands on the terminal's second screen, and each time all of it is drawn from the corner on:
+    It is on the terminal's second screen, and each time all of it is drawn from the corner on:
     when the window is resized, a terminal moves and wraps the first screen's lines as it likes, and
-    nobody can tell where they are then. What others write to sys.stderr comes after the picture,
+    nobody can know where they are then. What others write to sys.stderr comes after the picture,
     since it would be drawn over.
     """
-    said = io.StringIO()
+    redirected = io.StringIO()
     console.file = console.file  # the terminal, whatever sys.stderr is meanwhile
     live = Live(
         console=console,
@@ -252,14 +253,14 @@ def _drawn_anew(console: Console, picture: Callable[[], Screen]) -> Iterator[Non
     )
 
     def leave() -> None:
-        with contextlib.suppress(OSError):  # the terminal is gone
+        with contextlib.suppress(OSError):  # the terminal is closed
             live.stop()
             console.print(picture())
-            console.file.write(said.getvalue())
+            console.file.write(redirected.getvalue())
 
     with contextlib.ExitStack() as stack:
         stack.callback(leave)
-        stack.enter_context(contextlib.redirect_stderr(said))
+        stack.enter_context(contextlib.redirect_stderr(redirected))
         live.start(refresh=True)
         yield
 

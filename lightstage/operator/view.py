@@ -1,4 +1,4 @@
-"""What stands now in a capture, from nothing but the lines of its journal.
+"""The state of a capture, from nothing but the lines of its journal.
 
 The same lines give the same view, live or later; a line that lacks something changes what it can.
 """
@@ -17,8 +17,10 @@ from typing import Any, Literal
 from lightstage.counting import counted
 from lightstage.operator.attendance import Decision, possible_answers
 from lightstage.operator.words import (
+    TYPED,
     Mark,
     Said,
+    Ways,
     duration,
     names_of,
     number_of,
@@ -31,10 +33,11 @@ from lightstage.resume_line import options_of
 State = Literal[
     "idle", "triggering", "downloading", "kept", "failed", "late", "restarting", "in question"
 ]
+AT_WORK: tuple[State, ...] = ("triggering", "downloading", "late", "restarting")
 Phase = Literal["before", "running", "asked", "paused", "aborted", "complete", "gone"]
 
 SHOTS_MEASURED = 9
-"""Time left is told from the median of so many shots, so that one slow one does not change it."""
+"""Time left is from the median of so many shots, so that one slow one does not change it."""
 NEWS_KEPT = 50
 THERE: tuple[Mark, ...] = ("kept", "in question", "accepted")
 """Marks of photographs that are there."""
@@ -44,7 +47,7 @@ FOLLOWING, STOPPED = "\0", "\1"
 
 @dataclasses.dataclass
 class CameraView:
-    """One camera: what it told about itself and what it does now."""
+    """One camera: its report of itself and what it does now."""
 
     serial: str = ""
     model: str = ""
@@ -73,10 +76,14 @@ class Late:
 
 
 class View:
-    """Told every line; several threads may tell and read.
+    """Receives every line; several threads may give lines and read.
+
+    Args:
+        session: the session's folder, for what the operator may type.
+        ways: how the operator resumes and follows a capture.
 
     Attributes:
-        session: the session's folder, for what the operator may type.
+        session: as given.
         lock: held while it changes; hold it to read several things that belong together.
         patterns: names in order.
         cameras: by their names, in order.
@@ -84,18 +91,21 @@ class View:
         takes: number of the latest photograph by (pattern, camera), where it was taken again.
         done: patterns with all their photographs.
         pattern: what is lit; None in the dark.
-        lights: what the LED device told, as one line.
-        acknowledged: whether it tells what is lit; None where it is not known.
+        shown: what was lit last; empty before the first light.
+        lights: what the LED device reported, as one line.
+        acknowledged: whether it reports what is lit; None where it is not known.
         phase: what the capture does; ``asked`` waits, dark, for the operator's answer; ``gone`` was
             killed.
-        options: with which the capture goes on, as its journal tells them.
+        options: with which the capture is resumed, from its journal.
         late: what is known of cameras that the others wait for; None where there are none.
         question: what the operator is asked about; empty where nothing is asked.
+        asked: the pattern that the question is of; empty where nothing is asked.
         answers: what can be answered to it.
     """
 
-    def __init__(self, session: str = "SESSION") -> None:
+    def __init__(self, session: str = "SESSION", ways: Ways = TYPED) -> None:
         self.session = session
+        self._ways = ways
         self.lock = threading.RLock()
         self.who = ""
         self.patterns: list[str] = []
@@ -104,6 +114,8 @@ class View:
         self.takes: dict[tuple[str, str], int] = {}
         self.done: set[str] = set()
         self.pattern: str | None = None
+        self.shown = self.asked = ""
+        self._asked_of: collections.Counter[str] = collections.Counter()
         self.lights = ""
         self.acknowledged: bool | None = None
         self._news: collections.deque[tuple[Said, str]] = collections.deque(maxlen=NEWS_KEPT)
@@ -137,6 +149,11 @@ class View:
         return self.marks.get(pattern, {}).get(camera, "to come")
 
     @property
+    def asked_times(self) -> int:
+        """How often was asked about the pattern of the question, this time too."""
+        return self._asked_of[self.asked]
+
+    @property
     def wanted(self) -> int:
         """Photographs of the whole session."""
         return len(self.patterns) * len(self.cameras)
@@ -144,7 +161,7 @@ class View:
     def left_s(self) -> float | None:
         """Seconds left, from the shots measured; None before there is one.
 
-        A shot in which something failed says little of the others: it is asked where there is no
+        A shot in which something failed shows little of the others: it is used where there is no
         other one.
         """
         shots_s = self._shot_s or self._troubled_s
@@ -160,7 +177,7 @@ class View:
         return self.phase in ("complete", "aborted", "gone")
 
     def gone(self) -> None:
-        """No capture runs any more; one that did not say how it ended was killed."""
+        """No capture runs any more; one that did not report how it ended was killed."""
         with self.lock:
             if not self.over:
                 self._ends("gone")
@@ -174,17 +191,17 @@ class View:
 
     def told(self, line: Mapping[str, Any]) -> Said:
         """Take up a line; returns its words."""
-        words = said(line, self.session)
+        words = said(line, self.session, self._ways)
         with self.lock:
             self.options = options_of(line) or self.options
             number = number_of(line, "id")
             self.last_id = self.last_id if number is None else int(number)
-            self._trouble |= _tells_trouble(line)
+            self._trouble |= _is_trouble(line)
             take = _TAKES_UP.get(text_of(line, "event"))
             if take is not None:
                 take(self, line)
             # Late cameras have a line of their own, on which the seconds run; a camera that is
-            # started again says so in its row.
+            # started again shows it in its row.
             shown = text_of(line, "event") in ("shot", "waiting") or _starts_again(line)
             if words.tone != "quiet" and not shown:
                 self._news.append((words, _mended_by(line)))
@@ -215,30 +232,27 @@ class View:
         self._devices(line)
 
     def _resume(self, line: Mapping[str, Any]) -> None:
-        self.phase, self.question, self.answers = "running", [], ()
+        self.phase, self.question, self.asked, self.answers = "running", [], "", ()
         self.pattern = self._since_s = None
         self._forget(STOPPED)
-        for camera in self.cameras.values():
-            camera.state = "idle"
-        for marks in self.marks.values():
-            marks.update({camera: "again" for camera in marks if marks[camera] == "now"})
+        self._nobody_takes()
         self._devices(line)
 
     def _devices(self, line: Mapping[str, Any]) -> None:
-        """What devices told, wherever a line has it."""
+        """What devices reported, wherever a line has it."""
         for key in ("led_device", "leds", "lights"):
             leds = line.get(key)
             if isinstance(leds, dict):
                 self._leds(leds)
         for key in ("told", "cameras"):
             cameras = line.get(key)
-            for name, told in cameras.items() if isinstance(cameras, dict) else ():
-                if isinstance(told, dict) and printable(name) in self.cameras:
+            for name, summary in cameras.items() if isinstance(cameras, dict) else ():
+                if isinstance(summary, dict) and printable(name) in self.cameras:
                     camera = self.cameras[printable(name)]
-                    camera.serial = text_of(told, "serial")
-                    camera.model = text_of(told, "model")
-                    camera.battery_percent = number_of(told, "battery_percent")
-                    camera.card_free_bytes = number_of(told, "card_free_bytes")
+                    camera.serial = text_of(summary, "serial")
+                    camera.model = text_of(summary, "model")
+                    camera.battery_percent = number_of(summary, "battery_percent")
+                    camera.card_free_bytes = number_of(summary, "card_free_bytes")
 
     def _leds(self, leds: Mapping[str, Any]) -> None:
         if isinstance(leds.get("acknowledged"), bool):
@@ -253,11 +267,15 @@ class View:
         self._late_over(line)
         self.phase, self.pattern, self.late = "asked", None, None
         self._asked_s = number_of(line, "elapsed_s")
-        told = line.get("findings")
+        findings_field = line.get("findings")
         findings = (
-            [each for each in told if isinstance(each, dict)] if isinstance(told, list) else []
+            [each for each in findings_field if isinstance(each, dict)]
+            if isinstance(findings_field, list)
+            else []
         )
         self.question = [said({**each, "event": "finding"}) for each in findings]
+        self.asked = text_of(line, "pattern")
+        self._asked_of[self.asked] += 1
         self.answers = possible_answers(text_of(each, "code") for each in findings)
 
     def _late_over(self, line: Mapping[str, Any]) -> None:
@@ -267,7 +285,7 @@ class View:
             self._since_s += now_s - late_s
 
     def _answered(self, line: Mapping[str, Any]) -> None:
-        self.phase, self.question, self.answers = "running", [], ()
+        self.phase, self.question, self.asked, self.answers = "running", [], "", ()
         now_s, asked_s = number_of(line, "elapsed_s"), self._asked_s
         if now_s is not None and asked_s is not None and self._since_s is not None:
             self._since_s += now_s - asked_s  # thinking is no measure of what is left
@@ -288,6 +306,7 @@ class View:
         self._late_over(line)
         self.phase, self.late = "running", None
         self.pattern = text_of(line, "pattern") or None
+        self.shown = self.pattern or self.shown
         if isinstance(line.get("acknowledged"), bool):
             self.acknowledged = line["acknowledged"]
         if self._since_s is None:
@@ -339,6 +358,16 @@ class View:
         if camera in self.marks.get(pattern, {}):
             self.marks[pattern][camera] = "again"
         self.done.discard(pattern)
+        # What was said of a photograph that no longer counts, and that no shot would mend.
+        left = [
+            item
+            for item in self._news
+            if item[1]
+            or item[0].tone != "warning"
+            or item[0].pattern != pattern
+            or item[0].camera not in ("", camera)
+        ]
+        self._news = collections.deque(left, NEWS_KEPT)
 
     def _retake(self, line: Mapping[str, Any]) -> None:
         takes = line.get("takes")
@@ -372,9 +401,18 @@ class View:
         self._ends("complete" if text_of(line, "event") == "end" else "aborted")
 
     def _ends(self, phase: Phase) -> None:
-        self.phase, self.question, self.answers = phase, [], ()
+        self.phase, self.question, self.asked, self.answers = phase, [], "", ()
         self.pattern = self.late = None
+        self._nobody_takes()
         self._forget(FOLLOWING)  # nobody can any more
+
+    def _nobody_takes(self) -> None:
+        """No camera is at work; what it had begun is taken again."""
+        for camera in self.cameras.values():
+            if camera.state in AT_WORK:
+                camera.state = "idle"
+        for marks in self.marks.values():
+            marks.update({camera: "again" for camera in marks if marks[camera] == "now"})
 
     def _forget(self, mended: str) -> None:
         """Leave out news that this makes old: a pattern's shot, or one of the two above."""
@@ -382,24 +420,24 @@ class View:
         self._news = collections.deque(left, NEWS_KEPT)
 
 
-def _tells_trouble(line: Mapping[str, Any]) -> bool:
-    """Whether a line tells that a photograph failed or a camera is late: its shot takes longer."""
+def _is_trouble(line: Mapping[str, Any]) -> bool:
+    """Whether a line reports a failed photograph or a late camera: its shot takes longer."""
     bad = text_of(line, "severity") in ("retake", "refuse")
     return bad or text_of(line, "event") in ("failed", "waiting", "asked", "rejected")
 
 
 def _starts_again(line: Mapping[str, Any]) -> bool:
-    """Whether a line tells that a camera is started again, or was."""
-    said = text_of(line, "said")
-    return text_of(line, "event") == "note" and said.startswith(("restarting", "started again"))
+    """Whether a line reports that a camera is started again, or was."""
+    text = text_of(line, "said")
+    return text_of(line, "event") == "note" and text.startswith(("restarting", "started again"))
 
 
 def _mended_by(line: Mapping[str, Any]) -> str:
     """What makes a line old: a pattern's shot, the end, or going on; empty for nothing."""
     if text_of(line, "socket"):
         return FOLLOWING
-    if text_of(line, "event") == "aborted":
-        return STOPPED
+    if text_of(line, "event") in ("aborted", "end"):
+        return STOPPED  # somebody may take photographs of a finished session again
     bad = text_of(line, "severity") in ("retake", "refuse")
     if text_of(line, "event") in ("failed", "rejected", "recovered") or bad:
         return text_of(line, "pattern")

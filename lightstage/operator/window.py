@@ -14,7 +14,7 @@ from lightstage.counting import counted
 
 @dataclasses.dataclass
 class Scroll:
-    """How many lines somebody went on; negative is back. Drawing sets it to what is possible."""
+    """How many lines somebody scrolled; negative is back. Drawing sets it to what is possible."""
 
     at: int = 0
 

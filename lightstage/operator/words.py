@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from lightstage.counting import counted
 from lightstage.findings import accepted_in_words
@@ -33,7 +33,7 @@ SIGNS: dict[Tone, str] = {
     "problem": "X",
     "stop": "#",
 }
-"""Before a line, so that no colour is needed to tell it."""
+"""Before a line, so that no colour is needed to distinguish it."""
 
 LOOK = "Look at the photograph; press r to take it again."
 AGAIN = "It is taken again, or you are asked."
@@ -43,15 +43,34 @@ FINDING: dict[str, tuple[Tone, str, str]] = {
     "warn": ("warning", "Look at this", LOOK),
     "note": ("plain", "Noted", ""),
 }
-"""By severity: tone, how the line begins, what to do where the finding does not say."""
+"""By severity: tone, how the line begins, what to do where the finding does not state it."""
 
 ON_CARD = "on-card"
 """What a note is about that names the picture which a camera took before it failed."""
 
 MISSING = "Photographs that came are kept. If it fails again, look at its cable, battery and card."
-"""Said where a photograph did not come."""
+"""Shown where a photograph did not come."""
+FOLLOW = "{follow}"
 FAILED = "It is tried again by itself; look at its cable, battery and card if it fails again."
-RESUME = "Nothing that was kept is lost. Go on with: {resume}"
+RESUME = "Nothing that was kept is lost. {how}"
+
+
+class Ways(NamedTuple):
+    """How somebody who reads the lines resumes and follows a capture.
+
+    Attributes:
+        resume: a sentence; ``{resume}`` stands for the command.
+        follow: the same of ``{watch}``; empty where who reads it does follow.
+    """
+
+    resume: str
+    follow: str
+
+
+TYPED = Ways("Go on with: {resume}", "Anyone here can follow with: {watch}")
+"""In a terminal."""
+PRESSED = Ways("Press g to resume it.", "")
+"""On the console's page."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,12 +82,16 @@ class Said:
         text: what happened.
         todo: what to do; empty where nothing must be done.
         camera: whose, where it is a matter of one.
+        pattern: the same of a pattern.
+        code: of a finding; otherwise empty.
     """
 
     tone: Tone
     text: str
     todo: str = ""
     camera: str = ""
+    pattern: str = ""
+    code: str = ""
 
     def __str__(self) -> str:
         text = f"{SIGNS[self.tone]} {self.text}".strip()
@@ -81,9 +104,9 @@ def text_of(line: Line, name: str) -> str:
     return "" if value is None or isinstance(value, (dict, list)) else printable(value)
 
 
-def _told(line: Line, name: str) -> str:
+def _field(line: Line, name: str) -> str:
     """A field that may have a driver's words, in plain ones."""
-    # Its camera and what it was asked are told beside it: no need to say them twice.
+    # Its camera and its request are shown beside it: no need to write them twice.
     value = line.get(name)
     text = "" if value is None or isinstance(value, (dict, list)) else printable_lines(value)
     # Cut last: much of it goes.
@@ -118,25 +141,36 @@ def duration(seconds: float | None) -> str:
     return f"about {seconds / 3600:.1f} h left"
 
 
-def said(line: Line, session: str = "SESSION") -> Said:
+def said(line: Line, session: str = "SESSION", ways: Ways = TYPED) -> Said:
     """What to show for a line of the journal.
 
     Args:
         line: as read; any field may be missing.
         session: the session's folder, for what to type.
+        ways: of whoever reads it.
     """
     event = text_of(line, "event")
     make = _WORDS.get(event)
     if make is None:
         return Said("quiet", f"{event or 'something'} {_place(line)}".strip())
     words = make(line)
-    text = words.text.replace("{watch}", watch_line(session))
-    todo = words.todo.replace("{resume}", resume_line(session, options_of(line)))
-    return dataclasses.replace(words, text=text, todo=todo, camera=text_of(line, "camera"))
+    if words.text == FOLLOW and not ways.follow:
+        words = dataclasses.replace(words, tone="quiet")
+    text = words.text.replace(FOLLOW, ways.follow).replace("{watch}", watch_line(session))
+    todo = words.todo.replace("{how}", ways.resume)
+    todo = todo.replace("{resume}", resume_line(session, options_of(line)))
+    return dataclasses.replace(
+        words,
+        text=text,
+        todo=todo,
+        camera=text_of(line, "camera"),
+        pattern=text_of(line, "pattern"),
+        code=text_of(line, "code"),
+    )
 
 
 def merged(items: Sequence[Said]) -> list[Said]:
-    """The same said of several cameras, or several times, said once: in the place of the last."""
+    """The same of several cameras, or several times, shown once: in the place of the last."""
     groups: dict[tuple[str, str, str], list[Said]] = {}
     for item in items:
         alike = item.text.replace(item.camera, "\0") if item.camera else item.text
@@ -150,7 +184,7 @@ def merged(items: Sequence[Said]) -> list[Said]:
 
 
 def _place(line: Line) -> str:
-    """Pattern and camera, as far as they are told: ``x+, cam0``."""
+    """Pattern and camera, as far as they are known: ``x+, cam0``."""
     places = (text_of(line, "pattern"), text_of(line, "camera"))
     return ", ".join(place for place in places if place)
 
@@ -163,8 +197,8 @@ def _at(line: Line) -> str:
 def _begin(line: Line) -> Said:
     patterns, cameras = len(names_of(line, "sequence")), len(names_of(line, "cameras"))
     who = " ".join(filter(None, (text_of(line, "subject"), text_of(line, "expression"))))
-    told = f"{counted(patterns, 'pattern')}, {counted(cameras, 'camera')}"
-    return Said("plain", f"Session of {who or 'nobody'}: {told}")
+    counts = f"{counted(patterns, 'pattern')}, {counted(cameras, 'camera')}"
+    return Said("plain", f"Session of {who or 'nobody'}: {counts}")
 
 
 def _lit(line: Line) -> Said:
@@ -177,7 +211,7 @@ def _frame(line: Line) -> Said:
 
 
 def _failed(line: Line) -> Said:
-    why = _told(line, "said") or _told(line, "found") or "no photograph"
+    why = _field(line, "said") or _field(line, "found") or "no photograph"
     return Said("warning", f"{_at(line)}{why}", FAILED)
 
 
@@ -185,7 +219,7 @@ def _finding(line: Line) -> Said:
     severity = text_of(line, "severity")
     tone, begins, todo = FINDING.get(severity, FINDING["warn"])
     where = text_of(line, "where") or _place(line)
-    found, expected = _told(line, "found"), text_of(line, "expected")
+    found, expected = _field(line, "found"), text_of(line, "expected")
     what = f"{found or text_of(line, 'code') or 'something'}"
     obvious = text_of(line, "code") == "not-taken"
     todo = MISSING if obvious else todo
@@ -210,13 +244,13 @@ def _shot(line: Line) -> Said:
 
 def _note(line: Line) -> Said:
     if text_of(line, "socket"):
-        return Said("plain", "Anyone here can follow with: {watch}")
+        return Said("plain", FOLLOW)
     if text_of(line, "about") == ON_CARD:
         return Said("plain", f"{_at(line)}it answers again, and its picture is on its card")
-    told = _told(line, "said")
-    if not told:  # a line of the journal's own, such as one for each file on a card
+    said_text = _field(line, "said")
+    if not said_text:  # a line of the journal's own, such as one for each file on a card
         return Said("quiet", f"{_at(line)}{text_of(line, 'about') or 'noted'}")
-    text = f"{_at(line)}{told}"
+    text = f"{_at(line)}{said_text}"
     return Said("plain", text[:1].upper() + text[1:] if not _place(line) else text)
 
 
@@ -233,7 +267,7 @@ def _waiting(line: Line) -> Said:
 
 
 def _aborted(line: Line) -> Said:
-    why = _told(line, "said") or _told(line, "why")
+    why = _field(line, "said") or _field(line, "why")
     # Older journals have the other two.
     if not why or why in ("Stopped by the operator.", "KeyboardInterrupt") or "'s wish" in why:
         return Said("stop", "Stopped by the operator", RESUME)
@@ -244,8 +278,8 @@ def _end(line: Line) -> Said:
     frames = number_of(line, "frames")
     count = "" if frames is None else f": {counted(round(frames), 'photograph')}"
     report = line.get("capture")
-    told: Line = report if isinstance(report, dict) else {}
-    patterns, faults = number_of(told, "accepted"), number_of(told, "accepted_findings")
+    facts: Line = report if isinstance(report, dict) else {}
+    patterns, faults = number_of(facts, "accepted"), number_of(facts, "accepted_findings")
     accepted = accepted_in_words(int(patterns or 0), int(faults or 0))
     return Said("good", f"The session is complete{count}{accepted and '; ' + accepted}")
 
@@ -325,10 +359,22 @@ LEGEND: tuple[tuple[Mark, str], ...] = (
 )
 """Marks of photographs and their words."""
 HEARD = {
-    "retake": "The pattern that is being taken is taken again once it is done.",
+    "retake": "It is taken again.",
     "accept": "Accepted.",
     "pause": "It pauses, dark, after this pattern.",
     "resume": "It goes on.",
     "abort": "STOPPING: lights out; photographs on their way are not lost.",
 }
-"""Said when a key is heard."""
+"""Shown when a key is heard."""
+
+
+def heard_words(do: str, pattern: str = "") -> str:
+    """What is shown when a key is heard.
+
+    Args:
+        do: a request.
+        pattern: that a retake is of, which may be under way or over; empty for an answer.
+    """
+    if do == "retake" and pattern:
+        return f"{pattern} will be taken again next."
+    return HEARD[do]

@@ -79,7 +79,7 @@ def patterns_command(
         "on_plane": planes,
         "patterns": rows,
         "own": {
-            name: {"kind": p.kind, "said": p.said, "scale": p.scale} for name, p in own.items()
+            name: {"kind": p.kind, "said": p.summary, "scale": p.scale} for name, p in own.items()
         },
         "picture": None if out is None else str(out),
     }
@@ -151,7 +151,7 @@ def _show(rows: list[dict[str, Any]], own: dict[str, UserPattern]) -> None:
     Console().print(table)
     shown = {row["pattern"].partition("@")[0] for row in rows}
     for mine in (pattern for name, pattern in own.items() if name in shown):
-        print(f"{mine.name}, your own, by {mine.kind}: {mine.said}")
+        print(f"{mine.name}, your own, by {mine.kind}: {mine.summary}")
 
 
 def _list_sequences(rig: Rig, as_json: bool) -> None:

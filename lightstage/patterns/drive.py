@@ -15,7 +15,7 @@ from lightstage.patterns.weights import light_weights
 from lightstage.rig import Rig
 
 Drive = Literal["solid-angle", "on-off"]
-"""`solid-angle`: each light as strong as the solid angle it stands for, so that `full` is an even
+"""`solid-angle`: each lamp as strong as the solid angle it represents, so that `full` is an even
 field; `on-off`: every light that is lit whole at level 1."""
 
 STEPS = 65535
@@ -60,7 +60,7 @@ def drive_levels(
         raise PatternError(
             f"pattern {name}",
             found="a light of another colour",
-            expected=f"one of {', '.join(emitters)}, as --emitters says",
+            expected=f"one of {', '.join(emitters)}, as in --emitters",
         )
     return levels * driven
 

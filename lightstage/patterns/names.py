@@ -52,7 +52,7 @@ their polarised shots in [Ma2007], two banks without moving a polariser in [Ghos
 COLOURED = 0.8
 """A light with more than this share of its gain in one channel is of that colour."""
 ON_PLANE = 1e-6
-"""A light nearer to a splitting plane than this share of the radius lies on it: half in each."""
+"""A lamp nearer to a splitting plane than this share of the radius is on it: half in each."""
 
 
 def pattern_levels(name: str, rig: Rig) -> np.ndarray:
@@ -150,7 +150,7 @@ def has_coloured_lights(rig: Rig) -> bool:
 
 
 def is_reserved(name: str) -> bool:
-    """Whether a name is a pattern's or a sequence's already, or looks like one."""
+    """Whether a name is a pattern's or a sequence's already, or resembles one."""
     return (
         name in SEQUENCES
         or name in ("dark", OLAT, *BINARY)
@@ -159,7 +159,7 @@ def is_reserved(name: str) -> bool:
 
 
 def on_plane(rig: Rig) -> dict[str, list[int]]:
-    """Lights that lie on a splitting plane, and so are lit by half in both gradients of a pair.
+    """Lamps that are on a splitting plane, and so are lit half in both gradients of a pair.
 
     Returns:
         Axis x, y or z to the ids of such lights; axes without any are left out.

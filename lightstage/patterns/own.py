@@ -50,7 +50,7 @@ USED = {
 
 @dataclasses.dataclass(frozen=True)
 class PatternConfig:
-    """One pattern of the file; which keys go together stands above.
+    """One pattern of the file; the module's docstring has which keys go together.
 
     Attributes:
         levels: one a light, 0..1; driven as they stand.
@@ -94,10 +94,10 @@ class UserPattern:
         levels: (n,) 0..1, in the rig's order of lights.
         is_field: whether the levels are of a field of light, which `drive_levels` weights by the
             solid angles of the lights; what names single lights, and an environment, which is
-            summed over solid angles already, is driven as it stands.
+            summed over solid angles already, is driven as it is.
         scale: level for one unit of luminance times steradian of an environment, at the rig's
             largest distance; None for other kinds.
-        said: in plain words, what was made of it.
+        summary: in plain words, what was made of it.
     """
 
     name: str
@@ -105,7 +105,7 @@ class UserPattern:
     levels: np.ndarray
     is_field: bool
     scale: float | None
-    said: str
+    summary: str
 
 
 def read_patterns(path: Path, rig: Rig) -> dict[str, UserPattern]:
@@ -224,10 +224,10 @@ def _made(
     name: str, kind: Kind, levels: np.ndarray, is_field: bool, scale: float | None = None
 ) -> UserPattern:
     lit = int((levels > 0).sum())
-    said = f"{lit} of {counted(len(levels), 'light')}"
+    summary = f"{lit} of {counted(len(levels), 'light')}"
     if scale is not None:
-        said += f", level {scale:.4g} for one unit of luminance times steradian"
+        summary += f", level {scale:.4g} for one unit of luminance times steradian"
         faint = int(((levels > 0) & (levels < 0.5 / 65535)).sum())
         if faint:
-            said += f"; {faint} of them too faint for the wire's steps, so dark"
-    return UserPattern(name, kind, levels, is_field, scale, said)
+            summary += f"; {faint} of them too faint for the wire's steps, so dark"
+    return UserPattern(name, kind, levels, is_field, scale, summary)

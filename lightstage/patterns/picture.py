@@ -43,7 +43,7 @@ def pattern_sheet(
 ) -> np.ndarray:
     """A sheet of patterns, each with its lights from the front and from behind, and a white ball.
 
-    The views keep areas, so a light's disc is as large as the solid angle it stands for: a level
+    The views keep areas, so a lamp's disc is as large as the solid angle it represents: a level
     that goes with the solid angle is a small bright disc, not a large dim one. From the front +x is
     at the right, from behind at the left; +y is up in both. The ball is a white diffuser at the
     centre seen from the front, on one exposure for the whole sheet.
@@ -76,9 +76,9 @@ def pattern_sheet(
         top = head + (index // columns) * cell_h
         lit = int((levels > 0).sum())
         end = _write(sheet, name, (left + gap, top + 15), INK, 15, 600)
-        said = f"{lit} lit, mean {levels.mean():.3g}"
-        if end + 12 + 7 * len(said) < left + cell_w:
-            _write(sheet, said, (end + 12, top + 15), FAINT, 13, 400)
+        caption = f"{lit} lit, mean {levels.mean():.3g}"
+        if end + 12 + 7 * len(caption) < left + cell_w:
+            _write(sheet, caption, (end + 12, top + 15), FAINT, 13, 400)
         top += 18 + gap
         for k, seen in enumerate(views):
             place = np.array([left + gap + k * (side + gap) + side / 2, top + side / 2])
@@ -90,7 +90,7 @@ def pattern_sheet(
 
 
 def write_sheet(path: Path, sheet: np.ndarray) -> Path:
-    """Write a sheet as PNG, atomically; returns `path`."""
+    """Write a (h, w, 3) sheet as PNG, atomically; returns `path`."""
     return write_png(path, sheet)
 
 

@@ -28,7 +28,7 @@ def numbers(values: tuple[Any, ...], where: str, field: str, count: int) -> np.n
 
 
 def check_levels(levels: np.ndarray, where: str, field: str) -> None:
-    """PatternError, with the first place, where a level is not in 0..1."""
+    """PatternError, with the first place, where one of (n,) levels is not in 0..1."""
     bad = np.flatnonzero(~((levels >= 0) & (levels <= 1)))
     if len(bad):
         place = f"{field}[{bad[0]}]" if len(levels) > 1 else field
@@ -87,7 +87,7 @@ def shape(
     along = np.clip(rig.positions_mm @ (toward / length) / far, -1.0, 1.0)
     if cap_deg is not None:
         angle = _between(cap_deg, 180.0, where, "cap_deg")
-        # A light at the very rim belongs to the cap, whatever rounding says.
+        # A lamp at the very rim belongs to the cap, whatever rounding gives.
         lit = (np.degrees(np.arccos(along)) <= angle + 1e-6).astype(float)
     else:
         lit = np.maximum(along, 0.0) ** _between(cosine, 1e6, where, "cosine")

@@ -18,13 +18,13 @@ MOST_SAMPLES = 2_000_000
 
 
 def surroundings_flux(path: Path, rig: Rig, rotate_deg: float = 0.0) -> np.ndarray:
-    """What each light of the stage must send for the stage to look like these surroundings.
+    """What each lamp of the stage must send for the stage to resemble these surroundings.
 
     A latitude-longitude picture's luminance is summed over each light's Voronoi cell, the
     directions nearest to it; lights in one direction share it. Nothing of the picture is lost:
     the sum over the lights is that over the picture. Row 0 looks up (+y), the middle column along
     +z, and columns grow toward +x. A light set (`lightstage.environment/1`) gives each of its
-    lights to the cell it stands in, and its ambient light to all by their solid angles.
+    lights to the cell it is in, and its ambient light to all by their solid angles.
 
     A stage that shows the light of a place: [Debevec2002].
 
@@ -75,7 +75,7 @@ def _samples(luminance: np.ndarray, wanted: int) -> tuple[np.ndarray, np.ndarray
     """A (h, 2 h) picture as points of light: (k,) luminance times steradians, (k, 3) directions.
 
     Texels are cut into so many alike parts, or gathered into so many blocks, that there are
-    `wanted` points, `MOST_SAMPLES` at most; a block's point lies where its light is, so that a
+    `wanted` points, `MOST_SAMPLES` at most; a block's point is where its light is, so that a
     small sun stays in its own cell.
     """
     rows = len(luminance)

@@ -1,4 +1,4 @@
-"""The solid angle that each light stands for: what makes an even field of crowded lights."""
+"""The solid angle that each lamp represents: what makes an even field of crowded lamps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ TINY = 1e-15
 SAME_DIRECTION = 1e-5
 """Lights whose directions differ by less, in radians, share one solid angle."""
 FLAT = 1e-7
-"""Directions that lie nearer than this to one plane are taken to lie in it."""
+"""Directions that are nearer than this to one plane are taken to be in it."""
 SPHERE = 4 * np.pi
 SAMPLES = 200_000
 
@@ -21,7 +21,7 @@ SAMPLES = 200_000
 def light_weights(rig: Rig) -> np.ndarray:
     """Levels at which all lights together make the most even field at the centre.
 
-    A light's weight is the solid angle it stands for, times the square of its distance, over the
+    A lamp's weight is the solid angle it represents, times the square of its distance, over the
     largest such product of the rig. On a sphere the distance falls out. What a light was measured
     to give (`rgb_gain`) is left out on purpose: three gains cannot be met by one level, one dim
     light would dim the stage, and a new calibration would change what sessions are driven with.
@@ -79,7 +79,7 @@ def irradiance(rig: Rig, levels: np.ndarray, normals: np.ndarray) -> np.ndarray:
 def unevenness(rig: Rig, levels: np.ndarray) -> float:
     """Standard deviation of the irradiance over all directions of a sphere, as a share of its mean.
 
-    0 for an even field; 0 where no light is on.
+    0 for an even field; 0 where no lamp is on. `levels` are (n,), in the rig's order.
     """
     seen = irradiance(rig, levels, directions(2000))
     return float(seen.std() / seen.mean()) if seen.any() else 0.0
@@ -141,14 +141,14 @@ def _cells(toward: np.ndarray) -> np.ndarray:
         return _lunes(toward, spread.Vh)
     try:
         areas = SphericalVoronoi(toward, threshold=SAME_DIRECTION / 10).calculate_areas()
-    except (ValueError, QhullError):  # so nearly flat that the hull cannot be told
+    except (ValueError, QhullError):  # so nearly flat that there is no hull
         return _counted(toward)
     good = np.isfinite(areas).all() and (areas > 0).all() and abs(areas.sum() - SPHERE) < 1e-6
     return np.asarray(areas * (SPHERE / areas.sum())) if good else _counted(toward)
 
 
 def _flat(extent: np.ndarray, count: int) -> bool:
-    """Whether directions of these singular values lie on a circle, and are no mere small crowd.
+    """Whether directions of these singular values are on a circle, and are no mere small crowd.
 
     A crowd of radius r leaves its plane by r^2 / 2 because the sphere is round.
     """

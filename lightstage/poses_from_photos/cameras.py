@@ -1,6 +1,6 @@
 """A rig from the photographs themselves: cameras from structure from motion, scale from a length.
 
-Nobody measured anything but that length, so all of it is approximate, and says so.
+Nobody measured anything but that length, so all of it is approximate, and marked so.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ FAINT_POINTS = 100
 
 @dataclasses.dataclass(frozen=True)
 class FoundCameras:
-    """What photographs told.
+    """What photographs showed.
 
     Attributes:
         rig: cameras in mm, +y up, +z toward the face's front; lights as given.
@@ -61,14 +61,14 @@ def find_cameras(
     lenses: Sequence[TypedLens] = (),
     progress: ProgressCallback = quiet,
 ) -> FoundCameras:
-    """Find where the cameras stood.
+    """Find where the cameras were.
 
     Args:
         photographs: one of each camera, by its id, all under the same light.
         lights: of the rig to make; nothing is found out about them.
         lengths: measured distances, at least one.
         clicks: points that lengths may name.
-        landmarks: of the face; they tell which way it looks, and lengths may name them (0 to 67).
+        landmarks: of the face; they give its direction, and lengths may name them (0 to 67).
         front: the camera before the face, where there are no landmarks; None for the one in the
             middle of all.
         lenses: who shares a focal length, where that is known.
@@ -83,7 +83,7 @@ def find_cameras(
             "--length",
             found="none",
             expected="a measured distance, such as cam0:cam3=952.6",
-            hint="Photographs do not tell how large anything is. Measure between two cameras' "
+            hint="Photographs do not show how large anything is. Measure between two cameras' "
             "lenses, or between two points that --points or --landmarks names.",
         )
     if front is not None and front not in photographs:
@@ -91,13 +91,13 @@ def find_cameras(
     named = {**(landmarks or {}), **(clicks or {})}
     require_known(lengths, photographs, named)
     total = len(photographs) + 2
-    pictures, told = {}, {}
+    pictures, exifs = {}, {}
     problems: list[LightstageError] = []
     for done, (name, path) in enumerate(photographs.items()):
         progress(done, total)
         try:
             pictures[name] = read_grey(path)
-            told[name] = read_exif(path)
+            exifs[name] = read_exif(path)
         except LightstageError as error:
             problems.append(error)
     if problems:
@@ -108,7 +108,7 @@ def find_cameras(
             "cameras", found=f"nothing lit by {', '.join(dark)}", expected="photographs that show"
         )
     progress(total - 2, total)
-    solved = solve(pictures, told, lenses)
+    solved = solve(pictures, exifs, lenses)
     progress(total - 1, total)
     scale = find_scale(lengths, solved.cameras, named)
     middle = np.median(solved.points, axis=0)
@@ -130,7 +130,7 @@ def find_cameras(
         if count < FAINT_POINTS
     ]
     warnings += lens_warnings(solved)
-    facts = _facts(cameras, solved, scale, by, told)
+    facts = _facts(cameras, solved, scale, by, exifs)
     return FoundCameras(Rig(lights, cameras), facts, warnings)
 
 
@@ -139,7 +139,7 @@ def _facts(
     solved: Solved,
     scale: Scale,
     by: str,
-    told: Mapping[str, Exif],
+    exifs: Mapping[str, Exif],
 ) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
@@ -166,7 +166,7 @@ def _facts(
                 "matches": solved.matches[camera.id],
                 "focal_px": round(camera.fx_px, 2),
                 "focal_told_px": solved.told_px[camera.id],
-                "focal_told_mm": told[camera.id].focal_mm,
+                "focal_told_mm": exifs[camera.id].focal_mm,
                 "distance_mm": round(float(np.linalg.norm(camera.centre_mm)), 2),
             }
             for camera in cameras

@@ -40,7 +40,7 @@ def register(app: typer.Typer) -> None:
 def import_command(
     folder: Path = typer.Argument(
         help="Holds PATTERN/CAMERA.EXT, or CAMERA.EXT of one light (RAW, DNG, linear OpenEXR; "
-        "JPEG, PNG or TIFF at a cost that is told)."
+        "JPEG, PNG or TIFF at a cost that is reported)."
     ),
     rig: Path | None = typer.Option(
         None, "--rig", help="rig.json: where lights and cameras stand. Without: see --length."
@@ -68,7 +68,7 @@ def import_command(
     points: Path | None = typer.Option(None, help="Without --rig: points.json, clicked points."),
     pattern: str | None = typer.Option(
         None,
-        help="Of photographs that lie in FOLDER itself: what was lit "
+        help="Of photographs that are in FOLDER itself: what was lit "
         "[full, where FOLDER has no folders].",
     ),
     front: str | None = typer.Option(
@@ -134,14 +134,14 @@ def import_command(
     facts: dict[str, Any] = {
         "session": str(out), "frames": frames, "consent": consent, "warnings": warnings,
     }  # fmt: skip
-    said = ""
+    details = ""
     if found is not None:
         facts |= {"cameras": found.facts}
-        said = (
+        details = (
             f"; {counted(len(the_rig.cameras), 'camera')} found from the photographs, approximate: "
             f"{found.facts['residual_px']:.2f} px (mean), {counted(found.facts['points'], 'point')}"
         )
-    finish(f"{out}: {counted(frames, 'frame')} imported{said}", facts, as_json)
+    finish(f"{out}: {counted(frames, 'frame')} imported{details}", facts, as_json)
 
 
 def _found(

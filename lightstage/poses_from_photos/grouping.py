@@ -62,12 +62,12 @@ def parted(lenses: Sequence[JobLens], focal_px: Mapping[str, float]) -> list[lis
     """Groupings to try: open lenses parted where focal lengths leave a gap, coarsest first.
 
     Args:
-        lenses: as told.
+        lenses: as given.
         focal_px: of each camera as found with a lens of its own; a camera without stays with the
             first of its lens.
 
     Returns:
-        Groupings with more lenses than told, each another one; a lens begins with its cameras'
+        Groupings with more lenses than given, each another one; a lens begins with its cameras'
         median.
     """
     out: list[list[JobLens]] = []

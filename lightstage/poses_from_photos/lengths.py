@@ -1,4 +1,4 @@
-"""Lengths that were measured: photographs alone do not tell how large anything is."""
+"""Lengths that were measured: photographs alone do not show how large anything is."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Scale:
     click_residual_px: float | None
 
     def warnings(self) -> list[str]:
-        """What to tell of lengths that contradict each other a little."""
+        """Warnings of lengths that contradict each other a little."""
         return [
             f"the length {name} is {100 * share:+.1f} % off the others' scale"
             for name, share in self.misfits.items()
@@ -136,13 +136,13 @@ def find_scale(lengths: Sequence[Length], cameras: Mapping[str, Camera], clicks:
     factor = float(units @ mm / (units @ units))
     misfits = mm / (factor * units) - 1
     if np.abs(misfits).max() > MOST_SHARE:
-        told = ", ".join(
+        contradictions = ", ".join(
             f"{length} ({100 * share:+.0f} %)"
             for length, share in zip(lengths, misfits, strict=True)
         )
         raise MotionError(
             "--length",
-            found=f"lengths that contradict each other: {told}",
+            found=f"lengths that contradict each other: {contradictions}",
             expected=f"agreement within {100 * MOST_SHARE:.0f} %",
             hint="Are they in mm, and between the points that are named?",
         )

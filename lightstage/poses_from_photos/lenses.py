@@ -15,9 +15,9 @@ from lightstage.poses_from_photos.pictures import GreyPicture
 
 SCHEMA = "lightstage.lenses/1"
 FULL_FRAME_MM = 36.0
-"""Longer side of the film that focal lengths are told for."""
+"""Longer side of the film for which focal lengths are given."""
 LEAST_MM, MOST_MM = 0.5, 5000.0
-"""Focal lengths and sensors of cameras lie between."""
+"""Limits of cameras' focal lengths and sensors."""
 BY_FILE, BY_EXIF, OPEN = "file", "EXIF", "found"
 
 
@@ -42,8 +42,8 @@ class Lens:
 
     Attributes:
         cameras: ids.
-        focal_px: to begin with, in pixels of the photographs; None where nobody told it.
-        by: ``file`` or ``EXIF`` where that tells who shares it; ``found`` where it is to be found.
+        focal_px: to begin with, in pixels of the photographs; None where it is not known.
+        by: ``file`` or ``EXIF`` where that gives who shares it; ``found`` where it is to be found.
     """
 
     cameras: tuple[str, ...]
@@ -117,18 +117,18 @@ def _typed(entry: Any, path: Path, place: str) -> TypedLens:
 
 def shared_lenses(
     pictures: Mapping[str, GreyPicture],
-    told: Mapping[str, Exif],
+    exifs: Mapping[str, Exif],
     typed: Collection[TypedLens] = (),
 ) -> list[Lens]:
     """Which photographs begin with one focal length.
 
-    Those of one entry of lenses.json do. Of the others, those do whose files tell one size, model
-    and focal length; where files tell none, those of one size and model do until something else
+    Those of one entry of lenses.json do. Of the others, those do whose files have one size, model
+    and focal length; where files have none, those of one size and model do until something else
     explains them better.
 
     Args:
         pictures: by camera.
-        told: what each photograph says of itself.
+        exifs: each photograph's own fields.
         typed: lenses.json; it goes before EXIF.
 
     Raises:
@@ -168,11 +168,11 @@ def shared_lenses(
         raise one_error(problems)
     alike: dict[tuple[Any, ...], list[str]] = {}
     for name in left:
-        exif = told[name]
+        exif = exifs[name]
         key = (*_size(pictures[name]), exif.model, exif.focal_mm, exif.focal_35mm_mm)
         alike.setdefault(key, []).append(name)
     for names in alike.values():
-        exif = told[names[0]]
+        exif = exifs[names[0]]
         known = bool(exif.focal_mm or exif.focal_35mm_mm)
         focal = exif_focal_px(pictures[names[0]], exif)
         lenses.append(Lens(tuple(names), focal, BY_EXIF if known else OPEN))
@@ -180,7 +180,7 @@ def shared_lenses(
 
 
 def exif_focal_px(picture: GreyPicture, exif: Exif) -> float | None:
-    """What a photograph says of its focal length, in its own pixels; None where it says nothing."""
+    """A photograph's own focal length, in its pixels; None where it has none."""
     if exif.focal_mm and exif.focal_plane_px_per_mm:
         return exif.focal_mm * exif.focal_plane_px_per_mm
     if exif.focal_35mm_mm:

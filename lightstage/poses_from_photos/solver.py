@@ -28,7 +28,7 @@ PEAK_THRESHOLD = 0.002
 """SIFT's; skin shows little contrast, so a third of its usual value."""
 MAX_RATIO = 0.85
 LEAST_SEVERAL = 4
-"""Cameras from which on several focal lengths are tried: three pictures do not tell three."""
+"""Cameras from which on several focal lengths are tried: three pictures do not determine three."""
 LEAST_DISTORTED = 6
 """Cameras from which on distortion is fitted: of fewer it bends the surface instead."""
 LONG, MOST_BENT, MOST_BENT_WIDE = 1.5, 0.02, 0.1
@@ -72,11 +72,11 @@ def solve(folder: Path, threads: int) -> dict[str, Any]:
     features = folder / "found.db"
     names = _features_and_matches(folder, features, threads)
     pairs = _matched_pairs(features, names)
-    told = [
+    known = [
         JobLens(tuple(each["cameras"]), each["focal_px"], each["open"], tuple(each["centre_px"]))
         for each in job["lenses"]
     ]
-    first = _tried(folder, features, told, len(names))
+    first = _tried(folder, features, known, len(names))
     if first is None:
         return {"pairs": pairs, "cameras": {}, "points": [], "residual_px": None}
     chosen = _chosen(folder, features, first, len(names))
@@ -85,7 +85,7 @@ def solve(folder: Path, threads: int) -> dict[str, Any]:
     bent = _adjust_with_distortion(chosen.scene)
     return {
         "pairs": pairs,
-        **_told(chosen.scene),
+        **_scene_facts(chosen.scene),
         "lenses": [list(lens.cameras) for lens in chosen.lenses],
         "bent": bent,
         "together_px": together,
@@ -94,9 +94,9 @@ def solve(folder: Path, threads: int) -> dict[str, Any]:
 
 
 def _doubted(folder: Path, features: Path, chosen: _Try, count: int) -> dict[str, Any] | None:
-    """Told lenses taken for open ones: None where that explains the pictures no better.
+    """Given lenses taken for open ones: None where that explains the pictures no better.
 
-    Else a dict: together_px, apart_px: mean residuals as told and with more lenses; lenses: names
+    Else a dict: together_px, apart_px: mean residuals as given and with more lenses; lenses: names
     of the cameras that share each of these; focal_px: each one's focal length.
     """
     if all(lens.open for lens in chosen.lenses):
@@ -379,7 +379,7 @@ def _mean_residual(scene: pycolmap.Reconstruction) -> float:
     return float(np.mean([off for offs in _residuals(scene).values() for off in offs]))
 
 
-def _told(scene: pycolmap.Reconstruction) -> dict[str, Any]:
+def _scene_facts(scene: pycolmap.Reconstruction) -> dict[str, Any]:
     residuals = _residuals(scene)
     cameras = {}
     for image in scene.images.values():

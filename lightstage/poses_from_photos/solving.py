@@ -24,7 +24,7 @@ from lightstage.poses_from_photos.pictures import GreyPicture
 from lightstage.rig import Camera
 
 MIN_CAMERAS = 3
-"""Two photographs do not tell a focal length."""
+"""Two photographs do not determine a focal length."""
 MIN_MATCHES = 15
 """Verified matches that a camera must have with another one."""
 MIN_POINTS = 20
@@ -36,11 +36,11 @@ MAX_RESIDUAL_SHARE = 0.002
 
 @dataclasses.dataclass(frozen=True)
 class Doubted:
-    """Lenses that explain the photographs better than those that were told.
+    """Lenses that explain the photographs better than those that were given.
 
     Attributes:
         lenses: who would share a focal length; `focal_px` is what it would be.
-        told_px, apart_px: mean residuals with the told lenses, and with these.
+        told_px, apart_px: mean residuals with the given lenses, and with these.
     """
 
     lenses: list[Lens]
@@ -64,14 +64,14 @@ class Solved:
         residual_px: id to mean residual of its points, pixels of its photographs.
         seen: id to how many points it sees.
         matches: id to verified matches with all others.
-        told_px: id to the focal length that a file or its photograph tells, its own pixels; None
+        told_px: id to the focal length that a file or its photograph gives, its own pixels; None
             where neither does.
         lenses: who shares a focal length, as found; `focal_px` is what it came to.
         bent: id to the share by which its lens would move a corner, where that is no lens and
             distortion was left out.
-        together_px: mean residual with one lens for cameras of which nobody told who shares one;
+        together_px: mean residual with one lens for cameras of which nobody gave who shares one;
             None where that was taken.
-        doubted: lenses that explain the photographs better than those that were told; None where
+        doubted: lenses that explain the photographs better than those that were given; None where
             none do.
     """
 
@@ -89,18 +89,18 @@ class Solved:
 
 def solve(
     pictures: Mapping[str, GreyPicture],
-    told: Mapping[str, Exif],
+    exifs: Mapping[str, Exif],
     typed: Collection[TypedLens] = (),
 ) -> Solved:
     """Find cameras from one photograph of each.
 
-    Who shares a focal length and a term of distortion is told by `typed` or by the photographs
-    (`lenses.shared_lenses`); where nobody tells it, one focal length is tried against several.
+    Who shares a focal length and a term of distortion is given by `typed` or by the photographs
+    (`lenses.shared_lenses`); where neither has it, one focal length is tried against several.
     The principal point is the picture's middle.
 
     Args:
         pictures: by camera id.
-        told: what each photograph says of itself.
+        exifs: each photograph's own fields.
         typed: lenses.json.
 
     Raises:
@@ -113,9 +113,9 @@ def solve(
             "cameras",
             found=f"photographs of {', '.join(names) or 'none'}",
             expected=f"{MIN_CAMERAS} cameras at least",
-            hint="Two photographs do not tell a focal length; give --rig.",
+            hint="Two photographs do not determine a focal length; give --rig.",
         )
-    begun = shared_lenses(pictures, told, typed)
+    begun = shared_lenses(pictures, exifs, typed)
     with tempfile.TemporaryDirectory(prefix="lightstage-motion-") as place:
         folder = Path(place)
         for name, picture in pictures.items():
@@ -135,7 +135,7 @@ def solve(
     _refuse(names, best, found, pictures, doubted)
     points = np.array(result["points"], float).reshape(-1, 3)
     _refuse_flat(points)
-    cameras = {name: _camera(name, pictures[name], told[name], found[name]) for name in names}
+    cameras = {name: _camera(name, pictures[name], exifs[name], found[name]) for name in names}
     by = {name: lens.by for lens in begun for name in lens.cameras}
     return Solved(
         cameras,
@@ -214,28 +214,28 @@ def _refuse(
 
 
 def _refuse_flat(points: np.ndarray) -> None:
-    """MotionError where points (n, 3) lie in a plane, which tells no focal length."""
+    """MotionError where points (n, 3) are in a plane, which determines no focal length."""
     off = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     most = points[off <= np.quantile(off, NEAREST)]
     extent = np.linalg.svd(most - most.mean(axis=0), compute_uv=False)
     if extent[2] < FLAT * extent[0]:
         raise MotionError(
             "cameras",
-            found="photographs of something flat, such as a wall: its points lie within "
+            found="photographs of something flat, such as a wall: its points are within "
             f"{100 * extent[2] / extent[0]:.1f} % of their extent from a plane",
             expected=f"a subject with depth, {100 * FLAT:.0f} % at least",
-            hint="What is flat does not tell focal lengths. Photograph a person or a thing, and "
+            hint="What is flat determines no focal length. Photograph a person or a thing, and "
             "keep the background dark: what is lit counts.",
         )
 
 
 def _own_lens(name: str, doubted: Doubted | None) -> str:
-    """What to do where a camera does not share the lens that it is told to share; else empty."""
+    """What to do where a camera does not share the lens that it is given as sharing; else empty."""
     for lens in () if doubted is None else doubted.odd:
         if name in lens.cameras:
             return (
                 f"It bends the others: it does not share the focal length that EXIF or --lenses "
-                f"tells, but fits with {lens.focal_px:.0f} px. Tell the lenses in --lenses FILE."
+                f"gives, but fits with {lens.focal_px:.0f} px. Give the lenses in --lenses FILE."
             )
     return ""
 
@@ -265,10 +265,10 @@ def _run(folder: Path) -> dict[str, Any]:
     )
     path = folder / "result.json"
     if done.returncode != 0 or not path.is_file():
-        said = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+        lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
         raise MotionError(
             "cameras",
-            found=f"COLMAP ended with {done.returncode}: {said[-1][:200] if said else 'no word'}",
+            found=f"COLMAP ended with {done.returncode}: {lines[-1][:200] if lines else 'no word'}",
             expected="cameras",
             hint="These photographs cannot be solved; measure the cameras and give --rig.",
         )

@@ -10,7 +10,7 @@ from lightstage.poses_from_photos.solving import Solved
 SHORTEST, LONGEST = 0.3, 12.0
 """Focal lengths as shares of the picture's longer side that photographs of heads are taken with."""
 OTHER_FOCAL = 0.1
-"""Share by which a focal length may differ from what EXIF or a file tells."""
+"""Share by which a focal length may differ from that of EXIF or a file."""
 
 
 def lens_warnings(solved: Solved) -> list[str]:
@@ -24,15 +24,15 @@ def _of_groups(solved: Solved) -> list[str]:
         found.append(
             "the photographs were not taken with one focal length: "
             f"{_listed(solved.lenses)}. With one they fit worse ({solved.together_px:.2f} px). "
-            "--lenses FILE says who shares a lens"
+            "--lenses FILE states who shares a lens"
         )
     if solved.doubted is not None:
         doubted = solved.doubted
         odd = ", ".join(name for lens in doubted.odd for name in lens.cameras)
         found.append(
-            f"{odd}: bends the others, sharing the focal length that EXIF or --lenses tells. The "
+            f"{odd}: bends the others, sharing the focal length that EXIF or --lenses gives. The "
             f"photographs fit better ({doubted.apart_px:.2f} px in place of "
-            f"{doubted.told_px:.2f} px) with {_listed(doubted.lenses)}. Tell the lenses in "
+            f"{doubted.told_px:.2f} px) with {_listed(doubted.lenses)}. Give the lenses in "
             "--lenses FILE, or leave out what was not taken with them"
         )
     return found
@@ -49,8 +49,8 @@ def _bent(solved: Solved) -> list[str]:
 
 
 def _of_lengths(solved: Solved) -> list[str]:
-    """Each message names all cameras that it holds for: those of one lens say the same."""
-    said: dict[str, list[str]] = {}
+    """Each message names all cameras that it holds for: those of one lens have the same."""
+    by_text: dict[str, list[str]] = {}
     for name, camera in solved.cameras.items():
         times = camera.fx_px / max(camera.width_px, camera.height_px)
         if not SHORTEST <= times <= LONGEST:
@@ -58,16 +58,16 @@ def _of_lengths(solved: Solved) -> list[str]:
                 f"a focal length of {times:.2g} times the picture's longer side is implausible "
                 f"(usual are {SHORTEST:g} to {LONGEST:g}). Is the photograph cropped?"
             )
-            said.setdefault(text, []).append(name)
-        told = solved.told_px[name]
-        if told and abs(camera.fx_px / told - 1) > OTHER_FOCAL:
+            by_text.setdefault(text, []).append(name)
+        known = solved.told_px[name]
+        if known and abs(camera.fx_px / known - 1) > OTHER_FOCAL:
             text = (
                 f"the focal length came out as {camera.fx_px:.0f} px, "
-                f"{100 * (camera.fx_px / told - 1):+.0f} % off the {told:.0f} px that EXIF or "
-                "--lenses tells. Was the photograph cropped or made smaller?"
+                f"{100 * (camera.fx_px / known - 1):+.0f} % off the {known:.0f} px that EXIF or "
+                "--lenses gives. Was the photograph cropped or made smaller?"
             )
-            said.setdefault(text, []).append(name)
-    return [f"{', '.join(names)}: {text}" for text, names in said.items()]
+            by_text.setdefault(text, []).append(name)
+    return [f"{', '.join(names)}: {text}" for text, names in by_text.items()]
 
 
 def _listed(lenses: Sequence[Lens]) -> str:

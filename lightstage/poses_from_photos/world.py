@@ -1,4 +1,4 @@
-"""Where the world's axes are, which photographs alone do not tell: +y up, +z out of the face."""
+"""Where the world's axes are, which photographs alone do not show: +y up, +z out of the face."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PULL = 0.02
 def turned_by_landmarks(clicks: Clicks, cameras: Mapping[str, Camera]) -> np.ndarray | None:
     """The turn that brings a face upright and facing +z, from its landmarks.
 
-    The points are laid onto those of our template, which stands in those axes, by turn, shift and
+    The points are fitted to those of our template, which is in those axes, by turn, shift and
     scale [Umeyama1991].
 
     Args:
@@ -61,7 +61,7 @@ def turned_by_landmarks(clicks: Clicks, cameras: Mapping[str, Camera]) -> np.nda
 
 
 def turn_between(here: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, float]:
-    """(3, 3) that turns points (n, 3) as others lie, shift and scale aside [Umeyama1991].
+    """(3, 3) that turns points (n, 3) as others are, shift and scale aside [Umeyama1991].
 
     Returns:
         The turn, and the root mean square misfit as a share of `there`'s spread.
@@ -89,7 +89,7 @@ def turned_by_cameras(
         (3, 3) world from the cameras' present world, and the frontal camera.
 
     Raises:
-        MotionError: the frontal camera stands straight above the subject.
+        MotionError: the frontal camera is straight above the subject.
     """
     rights = np.array([camera.cam_from_world[0, :3] for camera in cameras.values()])
     up = -np.mean([camera.cam_from_world[1, :3] for camera in cameras.values()], axis=0)
@@ -107,7 +107,7 @@ def turned_by_cameras(
     if length < STEEPEST:
         raise MotionError(
             "--front",
-            found=f"{chosen}, which stands straight above or below the subject",
+            found=f"{chosen}, which is straight above or below the subject",
             expected="the camera before the face",
         )
     forward /= length

@@ -10,6 +10,7 @@ from lightstage.cameras.camera import Summary
 from lightstage.errors import DeviceError, LightstageError, one_error
 from lightstage.findings import Finding
 from lightstage.leds.controller import LedController
+from lightstage.leds.opening import channels_needed
 from lightstage.preflight.clock import computer_clock_findings
 from lightstage.preflight.config import Plan, PreflightConfig
 from lightstage.preflight.disk import card_findings, disk_findings
@@ -21,7 +22,7 @@ from lightstage.rig import Rig
 
 def preflight(
     rig: Rig,
-    told: Mapping[str, Summary],
+    summaries: Mapping[str, Summary],
     file: CamerasFile,
     leds: LedController,
     out: Path,
@@ -32,7 +33,7 @@ def preflight(
 
     Args:
         rig: lights and cameras wanted.
-        told: camera id to what it tells now.
+        summaries: by camera id, as they are now.
         file: what is expected of the cameras, and what may stay unverified.
         leds: open.
         out: the session's folder, new or to be resumed.
@@ -42,11 +43,11 @@ def preflight(
     Returns:
         All that was found; `require` raises on what forbids a capture.
     """
-    shutters = {camera_id: summary.shutter for camera_id, summary in told.items()}
+    shutters = {camera_id: summary.shutter for camera_id, summary in summaries.items()}
     return [
-        *device_findings(rig, told, file, leds, config),
+        *device_findings(rig, summaries, file, leds, config),
         *pulse_findings(shutters, leds.pulse_hz, plan.lowest_level, config),
-        *card_findings(rig, told, plan, config),
+        *card_findings(rig, summaries, plan, config),
         *disk_findings(rig, out, plan, config),
         *computer_clock_findings(out, config),
     ]
@@ -54,16 +55,16 @@ def preflight(
 
 def device_findings(
     rig: Rig,
-    told: Mapping[str, Summary],
+    summaries: Mapping[str, Summary],
     file: CamerasFile,
     leds: LedController,
     config: PreflightConfig,
 ) -> list[Finding]:
-    """What devices tell of themselves, whatever is to be taken (arguments as `preflight`'s)."""
+    """Checks of the devices themselves, whatever is to be taken (arguments as `preflight`'s)."""
     return [
         *_led_findings(rig, leds),
-        *settings_findings(told, file, config),
-        *privacy_findings(told),
+        *settings_findings(summaries, file, config),
+        *privacy_findings(summaries),
     ]
 
 
@@ -85,7 +86,7 @@ def require(findings: Sequence[Finding]) -> None:
 
 def _led_findings(rig: Rig, leds: LedController) -> list[Finding]:
     findings = []
-    count, needed = leds.hello.light_count, max(each.channel for each in rig.addresses) + 1
+    count, needed = leds.hello.light_count, sum(channels_needed(rig).values())
     # A rig that gives addresses leaves channels free on purpose.
     if count < needed or (count > needed and not rig.addressed):
         findings.append(
@@ -107,7 +108,7 @@ def _led_findings(rig: Rig, leds: LedController) -> list[Finding]:
                 "unacknowledged",
                 "LED device",
                 "a device that does not acknowledge",
-                "one that tells what is lit",
+                "one that reports what is lit",
                 "Every photograph is recorded as taken under unacknowledged light.",
             )
         )

@@ -1,4 +1,4 @@
-"""This computer's clock against the journals of a session and of those that lie beside it."""
+"""This computer's clock against the journals of a session and of those that are beside it."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ def computer_clock_findings(
         now: with a zone; the present where None.
     """
     now = now or datetime.datetime.now(datetime.UTC)
-    said = now.isoformat(timespec="seconds")
+    now_text = now.isoformat(timespec="seconds")
     hint = "Set this computer's clock (timedatectl set-ntp true)."
     if now.year < config.first_year:
         wanted = f"{config.first_year} or later"
-        return [Finding("refuse", "computer-clock", "this computer, clock", said, wanted, hint)]
+        return [Finding("refuse", "computer-clock", "this computer, clock", now_text, wanted, hint)]
     newest = newest_journal(out)
     findings = [
         Finding(
@@ -56,8 +56,8 @@ def computer_clock_findings(
             "journal-unread",
             error.where,
             error.found,
-            "a journal whose last line tells its time",
-            "It is passed over. Mend it, or move its folder away.",
+            "a journal whose last line has its time",
+            "It is skipped. Repair it, or move its folder away.",
         )
         for error in newest.unread
     ]
@@ -68,7 +68,7 @@ def computer_clock_findings(
                 "warn" if config.ignore_clock else "refuse",
                 "computer-clock",
                 "this computer, clock",
-                said,
+                now_text,
                 f"later than the last line of {newest.path}, "
                 f"{newest.time.isoformat(timespec='seconds')}",
                 ignored
@@ -113,7 +113,7 @@ def _last_time(path: Path) -> datetime.datetime | None:
     """When a journal's last whole line was written; None for an empty one.
 
     Raises:
-        FormatError: no regular file, or no line that tells a time.
+        FormatError: no regular file, or no line that has a time.
     """
     handle = open_regular(path, "a journal")
     try:
@@ -133,4 +133,4 @@ def _last_time(path: Path) -> datetime.datetime | None:
             return time
     if not size:
         return None
-    raise FormatError(path, found="no line that tells a time with its zone")
+    raise FormatError(path, found="no line that has a time with its zone")

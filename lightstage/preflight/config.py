@@ -23,10 +23,10 @@ class PreflightConfig:
         shutter_series: what a marked shutter time lasts: as marked, the true time of its place in
             the series of powers of 2, or either (then both must do).
         first_year: the computer's clock shows no earlier one.
-        max_trigger_skew_s: between the first and the last camera of one shot; more is told.
+        max_trigger_skew_s: between the first and the last camera of one shot; more is reported.
         believe_camera_clocks: whether a photograph whose time in its file is not that of its shot,
-            by the clock that its camera tells, is refused as an old picture. Without it, and where
-            a camera or a file tells no time, old pictures are known by their bytes alone, and by
+            by its camera's clock, is refused as an old picture. Without it, and where
+            a camera or a file has no time, old pictures are known by their bytes alone, and by
             the card's files at the beginning.
         clear: whether owner, artist, copyright and place are cleared on the cameras; otherwise
             cameras that have them are refused.

@@ -10,7 +10,7 @@ _EXPECTED = "the id of the record of the person's consent, such as C-2026-0041"
 
 
 def consent_findings(consent: str | None, config: SessionConfig) -> list[Finding]:
-    """What to say of a session of a person: a warning where no consent record is named.
+    """Findings on a session of a person: a warning where no consent record is named.
 
     Args:
         consent: id of the record, None where there is none.

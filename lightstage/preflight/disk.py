@@ -30,11 +30,11 @@ def photograph_bytes(camera: Camera, plan: Plan) -> int:
 
 
 def card_findings(
-    rig: Rig, told: Mapping[str, Summary], plan: Plan, config: PreflightConfig
+    rig: Rig, summaries: Mapping[str, Summary], plan: Plan, config: PreflightConfig
 ) -> list[Finding]:
     """Cards that do not hold what is still to be taken (photographs stay on them)."""
     findings = []
-    for camera_id, summary in told.items():
+    for camera_id, summary in summaries.items():
         one = photograph_bytes(rig.camera(camera_id), plan)
         wanted = plan.photographs_per_camera * one * (1 + config.space_margin)
         free = summary.card_free_bytes
@@ -196,7 +196,7 @@ def _refuses_second(partial: Path, named: Path) -> bool:
 
 
 def _folded(rig: Rig, trial: Path) -> list[Finding]:
-    """Cameras whose names are one on a file system that does not tell letters' case."""
+    """Cameras whose names are one on a file system that does not distinguish letters' case."""
     for camera in rig.cameras:
         try:
             (trial / camera.id).mkdir()
@@ -207,7 +207,7 @@ def _folded(rig: Rig, trial: Path) -> list[Finding]:
                     "names",
                     f"{trial.parent}, camera {camera.id}",
                     "a file system on which two cameras' names are the same",
-                    "one that tells upper from lower case",
+                    "one that distinguishes upper from lower case",
                     "Give an --out on another disk, or rename the cameras in rig.json.",
                 )
             ]

@@ -22,13 +22,13 @@ BY_THEMSELVES = ("battery_percent", "card_free_bytes", "clock_offset_s")
 def drift(before: Summary, now: Summary, camera_id: str = "") -> list[Finding]:
     """What is not as it was: before and after a shot, or when a capture is resumed.
 
-    Values compare by meaning. A field that can no longer be told blocks like one that changed; one
-    that only now is told is noted. Battery, card space and clock change by themselves. Owner,
-    artist, copyright and place block when they are no longer empty, and what they say is not told.
+    Values compare by meaning. A field that can no longer be read blocks like one that changed; one
+    that can be read only now is noted. Battery, card space and clock change by themselves. Owner,
+    artist, copyright and place block when they are no longer empty, and their text is not shown.
 
     Args:
-        before: what the camera told.
-        now: what it tells.
+        before: the camera's earlier summary.
+        now: its present one.
         camera_id: for the message.
     """
     where = f"camera {camera_id}" if camera_id else "camera"
@@ -39,13 +39,13 @@ def drift(before: Summary, now: Summary, camera_id: str = "") -> list[Finding]:
             continue
         place, camera = f"{where}, {name}", camera_id or None
         if old is None:
-            said = f"{new}, which it did not tell before"
-            findings.append(Finding("note", "told-now", place, said, "as before", camera=camera))
+            found = f"{new}, which it did not report before"
+            findings.append(Finding("note", "told-now", place, found, "as before", camera=camera))
         elif new is None or not same_value(name, old, new):
-            said = "that it no longer tells" if new is None else new
+            found = "that it no longer reports" if new is None else new
             was = f"{old}, as before"
             findings.append(
-                Finding("refuse", "drift", place, said, was, _hint(name, old), camera=camera)
+                Finding("refuse", "drift", place, found, was, _hint(name, old), camera=camera)
             )
     for name in FIELDS:
         old, new = getattr(before, name), getattr(now, name)
@@ -71,17 +71,17 @@ OF_THE_BODY = ("serial", "model", "firmware")
 def set_back(camera: CameraDevice, before: Summary) -> tuple[list[Finding], list[str]]:
     """Give a camera the settings that it had, where they drifted.
 
-    Nothing is changed on another body than the one that told `before`.
+    Nothing is changed on another body than that of `before`.
 
     Args:
         camera: opened.
-        before: what it told.
+        before: its earlier summary.
 
     Returns:
         One finding ``set-back`` for each setting that was set, and what could not be set, in words.
 
     Raises:
-        DeviceError: the camera cannot tell its settings now.
+        DeviceError: the camera cannot report its settings now.
     """
     drifted = {
         finding.where.rpartition(", ")[2]: finding
@@ -92,14 +92,14 @@ def set_back(camera: CameraDevice, before: Summary) -> tuple[list[Finding], list
     for name, finding in drifted.items():
         if drifted.keys() & set(OF_THE_BODY):
             break
-        # A field that names somebody was empty, or not told, before.
+        # A field that names somebody was empty, or not known, before.
         try:
             camera.change(name, getattr(before, name) or EMPTY.get(name, ""))
         except LightstageError as error:
             failed.append(str(error))
             continue
-        said = "Somebody or something changed it; it was set back."
-        done.append(dataclasses.replace(finding, severity="warn", code="set-back", hint=said))
+        hint = "Somebody or something changed it; it was set back."
+        done.append(dataclasses.replace(finding, severity="warn", code="set-back", hint=hint))
     return done, failed
 
 

@@ -15,9 +15,11 @@ def measured_rig_findings(rig: Rig) -> list[Finding]:
         (UNMEASURED, "camera-not-measured", "not measured: rig.json has an older lens and pose of"),
         (UNCHECKED, "camera-not-checked", "measured on too few boards to be checked:"),
     ):
-        told = rig.more.get(key)
+        unmeasured = rig.more.get(key)
         names = [
-            camera.id for camera in rig.cameras if isinstance(told, list) and camera.id in told
+            camera.id
+            for camera in rig.cameras
+            if isinstance(unmeasured, list) and camera.id in unmeasured
         ]
         if names:
             what = f"{found} {', '.join(names)}"

@@ -19,9 +19,9 @@ from lightstage.rig import Camera
 from lightstage.session.disk import disk_errors
 
 SAME_NUMBER = ("nikon", "canon")
-"""Makers whose files have the number that the body tells; Fujifilm's have another one."""
+"""Makers whose files have the body's own number; Fujifilm's have another one."""
 CLOCK_GRAIN_S = 2.0
-"""A file tells whole seconds, and some cameras the moment before the shutter."""
+"""A file has whole seconds, and some cameras the moment before the shutter."""
 ZONE_S = 900.0
 """Zones differ by quarters of an hour."""
 
@@ -29,28 +29,28 @@ ZONE_S = 900.0
 def photograph_findings(
     path: Path,
     camera: Camera,
-    told: Summary,
+    summary: Summary,
     exposed_utc: datetime.datetime | None = None,
     max_clock_offset_s: float = 60.0,
 ) -> list[Finding]:
-    """Compare what a photograph's headers say with the rig and with what the camera told.
+    """Compare a photograph's headers with the rig and with the camera's summary.
 
-    What the file does not say, and what the camera did not tell, is passed over: headers of CR3 and
-    RAF files say the same as those of TIFF-like ones, OpenEXR pictures say nothing.
+    What the file does not have, and what the camera did not report, is skipped: headers of CR3 and
+    RAF files have the same as those of TIFF-like ones, OpenEXR pictures have none.
 
     Args:
         path: of the photograph.
         camera: of the rig, whose photograph it is taken for.
-        told: what the camera told of its settings.
+        summary: the camera's settings.
         exposed_utc: when it was exposed by this computer's clock; without it the time in the file
             is not looked at.
         max_clock_offset_s: by which the time in the file may be off; whole quarters of an hour are
-            a zone where the file tells none.
+            a zone where the file has none.
 
     Returns:
         ``refuse`` where another camera took it or a person or place is in it; ``retake`` where a
         setting drifted; ``warn`` where its time is off, or where the number in it is another one
-        but the body told the right one and the maker is none of SAME_NUMBER.
+        but the body reported the right one and the maker is none of SAME_NUMBER.
 
     Raises:
         CaptureError: the disk does not give the file.
@@ -60,14 +60,14 @@ def photograph_findings(
     findings: list[Finding] = []
 
     def finding(
-        severity: Severity, code: str, name: str, said: str, wanted: str, hint: str
+        severity: Severity, code: str, name: str, text: str, wanted: str, hint: str
     ) -> None:
         findings.append(
             Finding(
                 severity,
                 code,
                 f"{path.name} by {camera.id}, {name}",
-                said,
+                text,
                 wanted,
                 hint,
                 camera=camera.id,
@@ -75,25 +75,25 @@ def photograph_findings(
         )
 
     if found.serial is not None and not _same_serial(found.serial, camera.serial):
-        # The body itself told the right number, and its maker may write another one into files.
-        doubtful = told.serial is not None and not _writes_told_serial(found.make)
+        # The body itself reported the right number, and its maker may write another one into files.
+        doubtful = summary.serial is not None and not _writes_serial(found.make)
         finding(
             "warn" if doubtful else "refuse",
             "wrong-camera",
             "serial in the file",
             found.serial,
             f"{camera.serial} (rig.json)",
-            "Compare a few of its files: does this maker write another number than the body tells?"
+            "Compare a few of its files: does this maker write another number than the body has?"
             if doubtful
             else "Another camera took it: check which cable goes to which camera.",
         )
-    for name, said, wanted in _drifted(found, told):
+    for name, text, wanted in _drifted(found, summary):
         finding(
             "retake",
             "drift",
             f"{name} in the file",
-            said,
-            f"{wanted}, as the camera told",
+            text,
+            f"{wanted}, as the camera reported",
             "Set it back on the camera and take this photograph again.",
         )
     if found.private:
@@ -119,27 +119,27 @@ def photograph_findings(
     return findings
 
 
-def _drifted(found: Exif, told: Summary) -> list[tuple[str, str, str]]:
-    """Name, what the file says and what the camera told, of each setting that differs."""
+def _drifted(found: Exif, summary: Summary) -> list[tuple[str, str, str]]:
+    """Name, the file's value and the camera's, of each setting that differs."""
     differ = []
-    iso = None if told.iso is None else iso_number(told.iso)
+    iso = None if summary.iso is None else iso_number(summary.iso)
     if found.iso is not None and iso is not None and found.iso != _written(iso, found.iso):
-        differ.append(("ISO", str(found.iso), str(told.iso)))
-    time = None if told.shutter is None else exposure_s(told.shutter)
+        differ.append(("ISO", str(found.iso), str(summary.iso)))
+    time = None if summary.shutter is None else exposure_s(summary.shutter)
     if (
         found.exposure_s is not None
         and time is not None
         and not same_exposure(found.exposure_s, *time)
     ):
-        differ.append(("shutter", f"{found.exposure_s:.6g} s", str(told.shutter)))
-    stop = None if told.aperture is None else aperture_number(told.aperture)
+        differ.append(("shutter", f"{found.exposure_s:.6g} s", str(summary.shutter)))
+    stop = None if summary.aperture is None else aperture_number(summary.aperture)
     if found.f_number is not None and stop is not None and not same_aperture(found.f_number, stop):
-        differ.append(("aperture", f"f/{found.f_number:g}", str(told.aperture)))
+        differ.append(("aperture", f"f/{found.f_number:g}", str(summary.aperture)))
     return differ
 
 
-def _writes_told_serial(make: str | None) -> bool:
-    """Whether a maker's files have the number that its bodies tell through the cable."""
+def _writes_serial(make: str | None) -> bool:
+    """Whether a maker's files have the number that its bodies report through the cable."""
     return make is not None and make.casefold().startswith(SAME_NUMBER)
 
 

@@ -16,18 +16,18 @@ OFF = ("", "off", "disable", "disabled", "none", "no")
 
 
 def is_empty(name: str, text: str) -> bool:
-    """Whether a field of FIELDS says nothing."""
+    """Whether a field of FIELDS is empty."""
     plain = text.replace("\0", " ").strip().casefold()
     return plain in OFF if name == "place" else not plain
 
 
 def private_fields(summary: Summary) -> list[str]:
     """Names of the fields in which a camera has something."""
-    told = {name: getattr(summary, name) for name in FIELDS}
-    return [name for name, text in told.items() if text is not None and not is_empty(name, text)]
+    texts = {name: getattr(summary, name) for name in FIELDS}
+    return [name for name, text in texts.items() if text is not None and not is_empty(name, text)]
 
 
-def privacy_findings(told: Mapping[str, Summary]) -> list[Finding]:
+def privacy_findings(summaries: Mapping[str, Summary]) -> list[Finding]:
     """Cameras that would write who or where into photographs; never what they would write."""
     return [
         Finding(
@@ -39,7 +39,7 @@ def privacy_findings(told: Mapping[str, Summary]) -> list[Finding]:
             "Clear them in the camera's menu, or start the capture with --clear.",
             camera=camera_id,
         )
-        for camera_id, summary in told.items()
+        for camera_id, summary in summaries.items()
         if (names := private_fields(summary))
     ]
 
@@ -50,7 +50,7 @@ def clear_privacy(cameras: Sequence[CameraDevice]) -> dict[str, Summary]:
     Only fields that hold something are changed; photographs on the card stay as they are.
 
     Returns:
-        Camera id to what the camera tells afterwards.
+        Camera id to the camera's summary afterwards.
 
     Raises:
         DeviceError: every camera that failed or still has something, in one message.

@@ -1,4 +1,4 @@
-"""Whether the person who is photographed stands in the lab's table of pseudonyms."""
+"""Whether the person who is photographed is in the lab's table of pseudonyms."""
 
 from __future__ import annotations
 

@@ -54,18 +54,18 @@ def worst_error(periods: float, level: float) -> float:
 def possible_exposures_s(text: str, series: Series) -> tuple[float, ...]:
     """How long a shutter may be open under a marked time; empty where the text is no time.
 
-    A time that is no mark of the series (0.0451) is taken as it stands.
+    A time that is no mark of the series (0.0451) is taken as it is.
 
     Args:
-        text: as the camera says it.
+        text: as the camera reports it.
         series: see PreflightConfig.
     """
-    told = exposure_s(text)
-    if told is None:
+    exposure = exposure_s(text)
+    if exposure is None:
         return ()
-    mark = nearest_mark(told[0], told[1])
+    mark = nearest_mark(exposure[0], exposure[1])
     if mark is None:
-        return (told[0],)
+        return (exposure[0],)
     marked = _seconds(mark)
     true = true_exposures_s(marked) or (marked,)
     return {"marked": (marked,), "true": true, "either": tuple(sorted({marked, *true}))}[series]
@@ -75,7 +75,7 @@ def nearest_mark(time_s: float, off_s: float = 0.0) -> str | None:
     """The mark that a time is, such as ``1/60`` for 0.0166; None where it is none.
 
     Args:
-        time_s: as the camera says it.
+        time_s: as the camera reports it.
         off_s: how far its text may be off.
     """
 
@@ -90,7 +90,7 @@ def exposure_error(text: str, pulse_hz: float, level: float, series: Series) -> 
     """Worst error of a marked time under pulsed light; None where the text is no time.
 
     Args:
-        text: as the camera says it.
+        text: as the camera reports it.
         pulse_hz: above 0.
         level: of the dimmest light.
         series: see PreflightConfig.
@@ -101,8 +101,8 @@ def exposure_error(text: str, pulse_hz: float, level: float, series: Series) -> 
 
 def fitting_marks(text: str, pulse_hz: float, level: float, config: PreflightConfig) -> list[str]:
     """Marked times near one that stay within the limit: the next shorter and the next longer."""
-    told = exposure_s(text)
-    if told is None:
+    exposure = exposure_s(text)
+    if exposure is None:
         return []
     fit = [
         mark
@@ -110,8 +110,8 @@ def fitting_marks(text: str, pulse_hz: float, level: float, config: PreflightCon
         if (exposure_error(mark, pulse_hz, level, config.shutter_series) or 0.0)
         <= config.max_pulse_error
     ]
-    shorter = [mark for mark in fit if _seconds(mark) < told[0]]
-    longer = [mark for mark in fit if _seconds(mark) > told[0]]
+    shorter = [mark for mark in fit if _seconds(mark) < exposure[0]]
+    longer = [mark for mark in fit if _seconds(mark) > exposure[0]]
     return shorter[-1:] + longer[:1]
 
 
@@ -124,7 +124,7 @@ def pulse_findings(
     """What the lights' pulses do to the cameras' exposures.
 
     Args:
-        shutters: camera id to what it tells; what it cannot tell is passed over.
+        shutters: by camera id, as reported; what a camera cannot report is skipped.
         pulse_hz: of the lights; 0 where they are not dimmed by pulses, None where not known.
         lowest_level: of the plan; lights that are only on or off show no pulses.
         config: the limit.

@@ -29,29 +29,29 @@ FILE = "the cameras file"
 
 
 def settings_findings(
-    told: Mapping[str, Summary], file: CamerasFile, config: PreflightConfig
+    summaries: Mapping[str, Summary], file: CamerasFile, config: PreflightConfig
 ) -> list[Finding]:
     """Everything about the cameras that keeps lights off, camera by camera.
 
     Args:
-        told: camera id to what it tells.
+        summaries: by camera id.
         file: what is expected, and what may stay unverified.
         config: limits.
     """
     findings = _unknown_expectations(file)
-    for camera_id, summary in told.items():
+    for camera_id, summary in summaries.items():
         expected = expected_of(file, camera_id)
-        findings += _untold(camera_id, summary, file.allow_unverifiable)
+        findings += _not_readable(camera_id, summary, file.allow_unverifiable)
         findings += _as_expected(camera_id, summary, expected)
         findings += _by_hand(camera_id, summary, expected)
         findings += _power_and_clock(camera_id, summary, config)
     for name in ALIKE:
-        findings += _alike(name, told, file)
+        findings += _alike(name, summaries, file)
     return findings
 
 
 def expected_of(file: CamerasFile, camera_id: str) -> dict[str, str]:
-    """What a camera is expected to tell: its own table over that of all cameras."""
+    """What a camera must report: its own table over that of all cameras."""
     entry = file.cameras.get(camera_id)
     return {**file.expect, **(entry.expect if entry is not None else {})}
 
@@ -73,7 +73,7 @@ def _unknown_expectations(file: CamerasFile) -> list[Finding]:
     ]
 
 
-def _untold(camera_id: str, summary: Summary, allowed: Sequence[str]) -> list[Finding]:
+def _not_readable(camera_id: str, summary: Summary, allowed: Sequence[str]) -> list[Finding]:
     names = [
         name
         for name in VERIFIABLE
@@ -86,8 +86,8 @@ def _untold(camera_id: str, summary: Summary, allowed: Sequence[str]) -> list[Fi
             "refuse",
             "untold",
             f"camera {camera_id}, {', '.join(names)}",
-            "not verifiable: the camera cannot tell",
-            "a camera that tells, or the names in allow_unverifiable",
+            "not verifiable: the camera cannot report it",
+            "a camera that reports it, or the names in allow_unverifiable",
             f"Allow them in {FILE} if you made sure by eye.",
             camera=camera_id,
         )
@@ -176,10 +176,10 @@ def _power_and_clock(camera_id: str, summary: Summary, config: PreflightConfig) 
     return findings
 
 
-def _alike(name: str, told: Mapping[str, Summary], file: CamerasFile) -> list[Finding]:
+def _alike(name: str, summaries: Mapping[str, Summary], file: CamerasFile) -> list[Finding]:
     """One finding where cameras of which nothing is expected differ."""
     groups: list[tuple[str, list[str]]] = []
-    for camera_id, summary in told.items():
+    for camera_id, summary in summaries.items():
         found = getattr(summary, name)
         if found is None or name in expected_of(file, camera_id):
             continue
@@ -199,7 +199,7 @@ def _alike(name: str, told: Mapping[str, Summary], file: CamerasFile) -> list[Fi
             f"cameras, {name}",
             "; ".join(f"{text} ({', '.join(ids)})" for text, ids in groups),
             "the same on all of them",
-            f"Set it alike, or say what each shall have in {FILE} ([cameras.ID.expect]).",
+            f"Set it alike, or state what each shall have in {FILE} ([cameras.ID.expect]).",
         )
     ]
 

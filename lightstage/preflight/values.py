@@ -29,7 +29,7 @@ SAME_EXPOSURE = 0.01
 STANDARD = 0.07
 """A marked time and the true one of its place in the series differ by up to 1/15 (60 for 64)."""
 SAME_APERTURE = 0.03
-"""f/11 stands for 11.3 and f/22 for 22.6, the powers of the square root of 2."""
+"""f/11 means 11.3 and f/22 means 22.6, the powers of the square root of 2."""
 
 
 def same_value(name: str, one: str, other: str) -> bool:
@@ -52,7 +52,7 @@ def is_manual(text: str) -> bool:
 
 
 def is_manual_focus(text: str) -> bool:
-    """Whether a focus mode leaves the lens alone; Nikon says ``MF (fixed)``, ``MF (selection)``."""
+    """Whether a focus mode leaves the lens alone; Nikon has ``MF (fixed)``, ``MF (selection)``."""
     return _plain(text) in MANUAL_FOCUS or _plain(text).startswith("mf (")
 
 
@@ -124,7 +124,7 @@ def true_exposures_s(marked_s: float) -> tuple[float, ...]:
 def same_exposure(one_s: float, other_s: float, off_s: float = 0.0) -> bool:
     """Whether two times are of one setting: equal, or marks of one place in the series.
 
-    Marks of neighbouring places lie 9 % apart or more, but for a few (3 and 3.2, 1.5 and 1.6 s).
+    Marks of neighbouring places are 9 % apart or more, but for a few (3 and 3.2, 1.5 and 1.6 s).
 
     Args:
         one_s: positive.
@@ -163,7 +163,7 @@ def _same_shutter(one: str, other: str) -> bool:
     a, b = exposure_s(one), exposure_s(other)
     if a is None or b is None:
         return False
-    off_s = 0.0 if a[1] == b[1] else max(a[1], b[1])  # alike cut texts differ by what they say
+    off_s = 0.0 if a[1] == b[1] else max(a[1], b[1])  # alike cut texts differ by what they show
     return same_exposure(a[0], b[0], off_s)
 
 

@@ -16,9 +16,9 @@ class FlashCounter:
     A general flash is a pair of opposing changes of relative luminance, each of at least a tenth
     of the highest one [WCAG-Flashes]. Which part of the stage somebody looks at is not known, and
     two groups of lights can flash in turn where their sum stays the same. So every state in which
-    any one light differs from the state counted last by half a tenth (of the highest level so far)
+    any one lamp differs from the state counted last by half a tenth (of the highest level so far)
     counts as a change, and every change as opposed to the one before: if the mean of some group
-    moves by a tenth between two moments, one of its lights does so too, and then differs by half
+    moves by a tenth between two moments, one of its lamps does so too, and then differs by half
     of that from what was counted before, at one of both. So there are at most half as many flashes
     as counted changes, in whatever group. The standard's exemptions (both states brighter than
     0.8, small areas) are not used.
@@ -70,7 +70,7 @@ def heat_after(
         heat: (n,) now, 0 cold, 1 as at full power for ever.
         levels: (n,) in 0..1, for `seconds`.
         seconds: from now.
-        time_constant_s: after which 63 % of the way is gone.
+        time_constant_s: after which 63 % of the way is done.
     """
     return levels + (heat - levels) * np.exp(-seconds / time_constant_s)
 

@@ -11,14 +11,14 @@ import numpy as np
 from lightstage.errors import CaptureError, DeviceError, LightstageError
 from lightstage.interrupts import signals_put_off
 from lightstage.leds.controller import Hello, LedController, LightLostError, level_steps
-from lightstage.leds.guard import Guardian, HasLastWill
+from lightstage.leds.guard import Guardians, last_wills
 from lightstage.rig import Rig
 from lightstage.safety.budget import FlashCounter, Spent
 from lightstage.safety.plan import SafetyConfig
 
 AWAKE_S = 0.5
-"""A device is spoken to at least so often, or four times in its watchdog's time, or as often as its
-protocol says."""
+"""A device receives a packet at least so often, or four times in its watchdog's time, or as often
+as its protocol requires."""
 SLACK_S = 0.5
 """Beyond what the plan allowed a state, until the lights are put out."""
 MAY_BE_ON = "The lights may still be on: switch their power supply off."
@@ -27,10 +27,10 @@ MAY_BE_ON = "The lights may still be on: switch their power supply off."
 class SafeLights:
     """The lights as a capture has them (LedController): `with SafeLights(...) as lights`.
 
-    Only inside the `with` can a light go on, and at its end all are dark, or the message says that
+    Only inside the `with` can a light go on, and at its end all are dark, or the message warns that
     they may not be. Meanwhile a thread keeps the device awake and puts the lights out when a state
     stays longer than the plan allowed; a guardian process does so when this one is killed or
-    stands still. Several threads may call.
+    hangs. Several threads may call.
 
     Args:
         lights: the device; nobody else may talk to it meanwhile.
@@ -62,7 +62,7 @@ class SafeLights:
         self._failure: LightstageError | None = None
         self._changed_s = self._heard_s = -np.inf
         self._until_s = np.inf
-        self._guardian: Guardian | None = None
+        self._guardian: Guardians | None = None
         self._stop = threading.Event()
         self._threads: list[threading.Thread] = []
         self._sending = False  # a light is on its way to the device
@@ -77,7 +77,7 @@ class SafeLights:
 
     @property
     def acknowledged(self) -> bool:
-        """Whether the device tells what is lit."""
+        """Whether the device reports what is lit."""
         return self._lights.acknowledged
 
     @property
@@ -92,8 +92,11 @@ class SafeLights:
 
     @property
     def guardian_pid(self) -> int | None:
-        """The process that makes the lights dark if this one is killed; None where none can."""
-        return None if self._guardian is None else self._guardian.pid
+        """The process that makes the lights dark if this one is killed; None where none can.
+
+        Of several devices, that of the first.
+        """
+        return None if self._guardian is None else self._guardian.pids[0]
 
     def light(self, levels: np.ndarray) -> np.ndarray:
         """Wait until light may change, then light; returns what is driven.
@@ -186,8 +189,8 @@ class SafeLights:
             except LightstageError as failure:
                 if kind is None:
                     raise DeviceError(f"{failure} {MAY_BE_ON}") from None
-                said = str(error) or kind.__name__
-                raise CaptureError(f"{said}\n  then: {failure} {MAY_BE_ON}") from error
+                reason = str(error) or kind.__name__
+                raise CaptureError(f"{reason}\n  then: {failure} {MAY_BE_ON}") from error
             finally:
                 with self._turn:
                     pass  # a light that was under way in another thread is out again
@@ -228,7 +231,7 @@ class SafeLights:
             f"{heat:.2f} of full power's warmth: {allowed[place]:.3g} s left for this state",
             expected=f"{needed_s:.3g} s within max_light_on_s {config.max_light_on_s:g} and "
             f"max_heat {config.max_heat:g}",
-            hint="Let the lights cool for some minutes, then go on in a new capture.",
+            hint="Let the lamps cool for some minutes, then continue in a new capture.",
         )
 
     def _note_change(self) -> None:
@@ -258,10 +261,10 @@ class SafeLights:
                 self._failure = failure
 
     def _set_guardian(self) -> None:
-        if not isinstance(self._lights, HasLastWill):
-            return
         try:
-            self._guardian = Guardian(self._lights.last_will(), self.config.max_silence_s)
+            wills = last_wills(self._lights)
+            if wills:
+                self._guardian = Guardians(wills, self.config.max_silence_s)
         except (OSError, ValueError) as error:
             raise LightLostError(
                 "lights", field="guardian", found=str(error), expected="a line that is open"
@@ -273,15 +276,15 @@ class SafeLights:
             self._guardian = None
 
     def _keep_awake(self) -> None:
-        """Speak to the device during every wait; one that does not answer gets its state again."""
+        """Send to the device during every wait; one that does not answer gets its state again."""
         pause_s = self._awake_s / 2
         while not self._stop.wait(pause_s):
             with self._state:
                 number = self._number
-                asked = bool(self._spent.levels.any()) or not self._lights.acknowledged
+                lit = bool(self._spent.levels.any()) or not self._lights.acknowledged
                 left_s = self._heard_s + self._awake_s - time.monotonic()
             pause_s = self._awake_s / 2
-            if not asked or self._failure is not None:
+            if not lit or self._failure is not None:
                 continue  # nothing to keep awake
             if self._sending and self._lights.acknowledged:
                 continue  # its answer is waited for
@@ -300,7 +303,7 @@ class SafeLights:
         self._heard_s = asked_s
 
     def _watch(self) -> None:
-        """Say to the guardian that we live, and put out what stays too long.
+        """Report to the guardian that we live, and put out what stays too long.
 
         Apart from keeping the device awake: an answer that does not come must not hold this up.
         """
@@ -326,28 +329,29 @@ class SafeLights:
             return
         try:
             if self._number == number:
-                said = "within max_light_on_s and max_heat"
+                expected = "within max_light_on_s and max_heat"
                 if self._shot_worst_s is not None:
-                    said = f"at most {self._shot_worst_s:g} s"
+                    expected = f"at most {self._shot_worst_s:g} s"
                 found = "put out: this state stayed longer than the plan allows"
-                self._fail(LightLostError("lights", found=found, expected=said), number)
+                self._fail(LightLostError("lights", found=found, expected=expected), number)
                 self.dark()
         finally:
             self._turn.release()
 
-    def _mourn(self, guardian: Guardian, number: int) -> None:
-        """The guardian has gone: it took this process for dead, or was killed itself."""
+    def _mourn(self, guardian: Guardians, number: int) -> None:
+        """The guardian has ended: it took this process for dead, or was killed itself."""
         if not self._turn.acquire(blocking=False):
             return  # a light is under way; the next look will do
         try:
             if self._guardian is guardian:  # else dismissed, as it should be
-                found = "it has ended, and put the lights out if this process stood still"
+                found = "it has ended, and put the lights out if this process hung"
                 expected = "one that watches"
                 self._fail(
                     LightLostError("lights", field="guardian", found=found, expected=expected),
                     number,
                 )
                 self._guardian = None
+                guardian.goodbye()  # those of other devices may live
                 self._set_guardian()
         finally:
             self._turn.release()

@@ -1,4 +1,4 @@
-"""What an operator is told when lights may flash faster than photosensitive people can bear."""
+"""The operator's warning that lights may flash faster than photosensitive people can bear."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limits of light, and a sequence held against them before a light goes on."""
+"""Limits of light, and a sequence compared with them before a light goes on."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class SafetyConfig:
         max_light_on_s: time at full level that one light may be on in one capture.
         max_heat: how warm a light may get, as a share of what full power for ever would make it.
         heat_time_constant_s: after which a light at constant power is at 63 % of its warmth.
-        max_silence_s: a capture that stands still for so long is made dark from outside.
+        max_silence_s: a capture that hangs for so long is made dark from outside.
     """
 
     max_flashes_per_s: float = 3.0
@@ -117,7 +117,7 @@ def check_shots(shots: Sequence[Shot], rig: Rig, config: SafetyConfig, shot_wors
     heat = worst_heat(
         np.array([shot.levels for shot in shots]), shot_worst_s, config.heat_time_constant_s
     )
-    for field, values, limit, said, limit_said in (
+    for field, values, limit, template, limit_template in (
         ("duty", on_s, config.max_light_on_s, "{:.0f} s at full level", "{:g} s (max_light_on_s)"),
         ("heat", heat, config.max_heat, "{:.2f} of full power's warmth", "{:g} (max_heat)"),
     ):
@@ -130,8 +130,8 @@ def check_shots(shots: Sequence[Shot], rig: Rig, config: SafetyConfig, shot_wors
                 "sequence",
                 field=field,
                 found=f"{counted(over, 'light')} over the budget, light {worst.id} ({worst.name}) "
-                "up to " + said.format(values.max()),
-                expected="at most " + limit_said.format(limit),
+                "up to " + template.format(values.max()),
+                expected="at most " + limit_template.format(limit),
                 hint="Split the sequence, or lower the cameras' deadline.",
             )
         )

@@ -1,6 +1,6 @@
 """A session's life on disk: the journal, photographs kept once, recovery, session.json."""
 
-from lightstage.session.accepted import accepted_findings
+from lightstage.session.accepted import Accepted, accepted_findings
 from lightstage.session.agreement import disagreements, whole_session
 from lightstage.session.colour import (
     COLOUR_PATH,
@@ -25,6 +25,7 @@ from lightstage.session.writer import SessionWriter
 __all__ = [
     "COLOUR_PATH",
     "COLOUR_SCHEMA",
+    "Accepted",
     "Carried",
     "Exposed",
     "Journal",

@@ -11,7 +11,8 @@ Accepted = dict[str, list[dict[str, Any]]]
 """By pattern, the findings as the journal has them."""
 
 
-_Held = dict[str, dict[tuple[str, str | None], dict[str, Any]]]
+_Key = tuple[str, str | None, str]
+_Held = dict[str, dict[_Key, dict[str, Any]]]
 
 
 def accepted_findings(lines: Sequence[Line]) -> Accepted:
@@ -25,7 +26,7 @@ def accepted_findings(lines: Sequence[Line]) -> Accepted:
         if line["event"] == "accepted":
             for finding in line["findings"]:
                 pattern = finding.get("pattern") or line["pattern"]
-                held.setdefault(pattern, {})[finding["code"], finding.get("camera")] = finding
+                held.setdefault(pattern, {})[_key(finding)] = finding
         elif line["event"] == "rejected":
             _forget(held, line["pattern"], line["camera"])
         elif line["event"] == "retake":
@@ -34,8 +35,13 @@ def accepted_findings(lines: Sequence[Line]) -> Accepted:
     return {pattern: list(found.values()) for pattern, found in held.items() if found}
 
 
+def _key(finding: dict[str, Any]) -> _Key:
+    """What makes it another one: code, camera, place."""
+    return finding["code"], finding.get("camera"), str(finding.get("where", ""))
+
+
 def _forget(held: _Held, pattern: str, camera: str) -> None:
-    """A photograph does not count any more, and what was said of it does not hold."""
+    """A photograph does not count any more, and findings on it do not hold."""
     mine = held.get(pattern, {})
     for key in [key for key in mine if key[1] in (None, camera)]:
         del mine[key]

@@ -1,4 +1,4 @@
-"""Whether a session's files say the same: session.json and rig.json beside the journal."""
+"""Whether a session's files agree: session.json and rig.json beside the journal."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ RESTORE = "Restore the file that was changed; the journal is what was written du
 
 
 def disagreements(root: Path, session: SessionFile) -> list[LightstageError]:
-    """Compare session.json and rig.json with what the journal says; no photograph is read.
+    """Compare session.json and rig.json with the journal; no photograph is read.
 
     Args:
         root: the session's folder, which has a journal.
-        session: what its session.json says.
+        session: the content of its session.json.
 
     Returns:
         One error for each field and photograph that differs, for lines that are missing in the
@@ -65,7 +65,7 @@ def whole_session(root: Path) -> tuple[int, list[str]] | None:
     """Look at a session that its journal calls finished: is it all there?
 
     Every photograph is read back from the disk; session.json and the manifest are compared. Where
-    one of the two is lost or changed, it is written again: all that it says is in the journal.
+    one of the two is lost or changed, it is written again: all of its content is in the journal.
 
     Args:
         root: the session's folder.
@@ -76,7 +76,7 @@ def whole_session(root: Path) -> tuple[int, list[str]] | None:
         order with the cameras.
 
     Raises:
-        FormatError: no journal, or one that was changed: what is right cannot be told by it.
+        FormatError: no journal, or one that was changed: what is right is not known then.
         CaptureError: the disk failed.
     """
     looked = _looked(root)
@@ -166,10 +166,10 @@ def _unlike_fields(root: Path, found: SessionFile, known: SessionFile) -> list[L
 
 def _unlike_frames(root: Path, found: SessionFile, known: SessionFile) -> list[LightstageError]:
     path = root / SESSION
-    said = {(frame.pattern, frame.camera): frame for frame in found.frames}
+    frames = {(frame.pattern, frame.camera): frame for frame in found.frames}
     problems: list[LightstageError] = []
     for frame in known.frames:
-        other = said.pop((frame.pattern, frame.camera), None)
+        other = frames.pop((frame.pattern, frame.camera), None)
         field = f"frame {frame.pattern} by {frame.camera}"
         if other is None:
             problems.append(_wrong(path, field, "no such frame", f"{frame.path} ({JOURNAL})"))
@@ -179,7 +179,7 @@ def _unlike_frames(root: Path, found: SessionFile, known: SessionFile) -> list[L
             if wrong != right:
                 expected = f"{_short(right)} ({JOURNAL})"
                 problems.append(_wrong(path, f"{field}, {name}", _short(wrong), expected))
-    for pattern, camera in said:
+    for pattern, camera in frames:
         expected = f"none ({JOURNAL})"
         problems.append(_wrong(path, f"frame {pattern} by {camera}", "a frame", expected))
     return problems

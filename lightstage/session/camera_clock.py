@@ -1,6 +1,6 @@
 """Whether a photograph is of its own shot, by the time that its camera wrote into it.
 
-A camera tells its clock in whole seconds, and a file the time in whole seconds, mostly without its
+A camera gives its clock in whole seconds, and a file the time in whole seconds, mostly without its
 zone. The clock may be hours off: what counts is its offset, read before. Computers' clocks are set
 back at times, so a moment is carried from one reading to the next by the steady clock.
 """
@@ -13,7 +13,7 @@ import enum
 import time
 
 GRAIN_S = 3.0
-"""A second each of the clock as it is told, of the time in the file, and of a camera that writes
+"""A second each of the clock as it is read, of the time in the file, and of a camera that writes
 the moment before the shutter."""
 JUMP_S = 2.5
 """Two readings of one clock that differ by more are of a clock that was set in between."""
@@ -23,10 +23,10 @@ FARTHEST_ZONE_S = 15 * 3600.0
 
 
 class Verdict(enum.Enum):
-    """What the time in a photograph says."""
+    """Where the time in a photograph is from."""
 
     FITS = "it is of its shot"
-    UNKNOWN = "the file does not say, or its clock may show another zone"
+    UNKNOWN = "the file has no time, or its clock may show another zone"
     DIFFERS = "it is of another moment, if nobody set the clock meanwhile"
 
 
@@ -46,7 +46,7 @@ class CameraClock:
 
     @staticmethod
     def read_now(offset_s: float | None) -> CameraClock | None:
-        """The clock whose offset was told just now; None where the camera cannot tell."""
+        """The clock whose offset was just read; None where the camera has none."""
         if offset_s is None:
             return None
         return CameraClock(offset_s, datetime.datetime.now(datetime.UTC), time.monotonic())
@@ -61,7 +61,7 @@ class CameraClock:
         return round((self.at(time.monotonic()) - now).total_seconds(), 3)
 
     def was_set_since(self, offset_s: float) -> bool:
-        """Whether an offset that was told just now is of a clock that was set since the reading."""
+        """Whether an offset that was just read is of a clock that was set since the reading."""
         return abs(offset_s - self.offset_now_s()) > JUMP_S
 
 
@@ -71,9 +71,9 @@ def judge_time(
     """Whether the time in a photograph is that of its shot.
 
     Args:
-        taken: as in the file, with its zone or without; None where it tells none.
+        taken: as in the file, with its zone or without; None where it has none.
         begun: by the camera's clock, when it was triggered.
-        lasted_s: from then until the camera said that the picture was there.
+        lasted_s: from then until the camera reported that the photograph was there.
 
     Returns:
         UNKNOWN also where it is whole quarters of an hour off: the clock shows another zone, or it

@@ -21,7 +21,7 @@ COLOUR_SCHEMA = "lightstage.colour/1"
 COLOUR_PATH = "calibration/colour.json"
 FLATS_SCHEMA = "lightstage.flats/1"
 BORDER_SHARE = 0.02
-"""By so much a sensor's sides may differ from the rig's."""
+"""A sensor's sides may differ by so much from the rig's."""
 GAINS_BYTES = 1 << 31
 """Of a file of gains of single pixels."""
 COLOUR_NAME, FLATS_NAME, LIGHTS_NAME = "colour.json", "flats.json", "lights.json"
@@ -71,7 +71,7 @@ def read_calibration(path: Path, rig: Rig) -> Carried:
 
 
 def carried_paths(colour: Mapping[str, Any] | None, beside: Mapping[str, bytes]) -> dict[str, str]:
-    """What session.json says under ``calibration``: kind to path in the session."""
+    """The field ``calibration`` of session.json: kind to path in the session."""
     kinds = {} if colour is None else {"colour": COLOUR_PATH}
     folder = Path(COLOUR_PATH).parent.as_posix()
     for kind, name in (("flats", FLATS_NAME), ("lights", LIGHTS_NAME), ("cameras", CAMERAS_NAME)):
@@ -100,7 +100,7 @@ def _flats(path: Path, rig: Rig) -> dict[str, bytes]:
     files = {}
     for name in named:
         if name is not None:
-            check_name(name, path, "per_pixel")  # it lies beside
+            check_name(name, path, "per_pixel")  # beside this file
             beside = path_inside(path.parent, name, path, "per_pixel")
             if not beside.is_file():
                 raise FormatError(
@@ -112,18 +112,18 @@ def _flats(path: Path, rig: Rig) -> dict[str, bytes]:
 
 def _require_size(path: Path, camera: Camera, field: Mapping[str, Any]) -> None:
     """FormatError where a camera's flats are of another size than its pictures, upright or not."""
-    told = field.get("width_px"), field.get("height_px")
+    stated = field.get("width_px"), field.get("height_px")
     size = camera.width_px, camera.height_px
-    sides = [side for side in told if isinstance(side, int)]
+    sides = [side for side in stated if isinstance(side, int)]
     if len(sides) < 2:
-        return  # its reader says what is wrong
+        return  # its reader reports what is wrong
     # A rig may count a border that a sensor reads and a picture does not show.
     pairs = zip(sorted(sides), sorted(size), strict=True)
     if any(abs(own - wanted) > BORDER_SHARE * wanted for own, wanted in pairs):
         raise FormatError(
             path,
             field=f"cameras.{camera.id}",
-            found=f"flats of {told[0]} x {told[1]} pixels",
+            found=f"flats of {stated[0]} x {stated[1]} pixels",
             expected=f"{size[0]} x {size[1]}, as the rig's pictures of this camera",
             hint="Take flats and darks at the size at which sessions are taken, and run "
             "`lightstage-processing calibrate` again.",

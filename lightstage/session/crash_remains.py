@@ -54,7 +54,7 @@ class Leftovers:
         known = {kept.path for kept in self.state.all_frames()}
         for path in sorted((self.root / "frames").glob("*/[!.]*")):
             if path.relative_to(self.root).as_posix() not in known:
-                self.say(
+                self.add(
                     Finding(
                         "warn",
                         "stray-file",
@@ -128,7 +128,7 @@ class Leftovers:
         self.writer.rejected(pattern, camera, why, take)
         self.rejected.append(key)
 
-    def say(self, finding: Finding) -> None:
-        """Tell the operator, and the journal."""
+    def add(self, finding: Finding) -> None:
+        """Report to the operator, and to the journal."""
         self.writer.finding(finding)
         self.findings.append(finding)

@@ -41,19 +41,19 @@ _WORDS = {
 
 @contextlib.contextmanager
 def disk_errors(where: str | Path) -> Iterator[None]:
-    """Turn what the operating system says of a file into a CaptureError that names `where`."""
+    """Turn the operating system's error for a file into a CaptureError that names `where`."""
     try:
         yield
     except OSError as error:
-        said = (str(error.strerror or error), "Look at the disk and its mount, then resume.")
-        found, hint = _WORDS.get(error.errno or 0, said)
+        usual = (str(error.strerror or error), "Look at the disk and its mount, then resume.")
+        found, hint = _WORDS.get(error.errno or 0, usual)
         raise CaptureError(
             where, found=found, expected="a disk that can be written", hint=hint
         ) from None
 
 
 _NO_LINKS = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EINVAL)
-"""What file systems without hard links (exFAT, some network shares) say."""
+"""The errors of file systems without hard links (exFAT, some network shares)."""
 
 
 def rename_new(source: Path, target: Path) -> None:

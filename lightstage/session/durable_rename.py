@@ -24,7 +24,7 @@ class Arrival:
     Attributes:
         path: temporary, in the folder of its final name.
         stem: final name without suffix.
-        size: bytes, as the camera says.
+        size: bytes, as the camera reports it.
         sha256: of the bytes where they left the camera's driver.
         where: what to call it in errors.
         pattern: whose photograph.
@@ -41,13 +41,13 @@ class Arrival:
 
 
 def settle(arrival: Arrival) -> tuple[Path, Kind]:
-    """Verify a downloaded file as it lies on the disk, and give it its name.
+    """Verify a downloaded file on the disk, and give it its name.
 
     Size, header and hash are those of bytes read back from the disk, not from the computer's
     memory. Nothing larger than CHUNK_BYTES is held. The name never takes another file's place.
 
     Returns:
-        Where it lies now, and what it is. The folder is flushed; no journal knows it yet.
+        Where it is now, and what it is. The folder is flushed; no journal knows it yet.
 
     Raises:
         CutPhotographError: another size or hash.
@@ -67,7 +67,7 @@ def settle(arrival: Arrival) -> tuple[Path, Kind]:
                 where,
                 field="size",
                 found=f"{counted(size, 'byte')} on the disk",
-                expected=f"{arrival.size} as the camera says",
+                expected=f"{arrival.size} as the camera reports",
                 hint="The photograph is still on the camera.",
             )
         step("sized", *at)
@@ -106,7 +106,7 @@ def settle(arrival: Arrival) -> tuple[Path, Kind]:
 
 
 def is_whole(path: Path, size: int) -> bool:
-    """Whether a file has this size and a photograph's header, and is as long as that says."""
+    """Whether a file has this size and a photograph's header, and is as long as by that."""
     try:
         if path.stat().st_size != size:
             return False

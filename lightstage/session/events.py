@@ -2,7 +2,7 @@
 
 A journal may have been changed by hand or come from elsewhere: its paths and names are checked
 before a file is moved or read by them. Events that are not listed, and fields that no rule names,
-are for people; who shows them copes with whatever stands there.
+are for people; who shows them copes with whatever is there.
 """
 
 from __future__ import annotations

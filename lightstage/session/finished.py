@@ -21,7 +21,7 @@ EXTRA = ("take", "acknowledged", "verified")
 
 
 def session_from_journal(path: Path) -> SessionFile:
-    """What session.json says: of each pattern and camera the take that counts.
+    """The content of session.json: of each pattern and camera the take that counts.
 
     Raises:
         FormatError: a shot of the sequence that was not finished, or a photograph that is missing.
@@ -43,20 +43,20 @@ def session_from_lines(lines: Sequence[Line], path: Path) -> SessionFile:
     missing = [pattern for pattern in state.patterns if not state.is_shot(pattern)]
     kept = [state.accepted(p, c) for p in state.patterns for c in state.cameras]
     if missing or (lacking := kept.count(None)):
-        said = (
+        counts = (
             f"no finished shot of {', '.join(missing)}"
             if missing
             else counted(lacking, "photograph")
         )
         raise FormatError(
             path,
-            found=said if missing else f"{said} missing",
+            found=counts if missing else f"{counts} missing",
             expected="all shots of the sequence",
             hint=f"Go on with it: {resume_line(path.parent, known_options(lines))}",
         )
     frames = {key_of(line): line for line in lines if line["event"] == "frame"}
     driven = _levels(lines)
-    # Null says that there is no record of it; an older journal says nothing.
+    # Null means that there is no record of it; an older journal has no such field.
     extra: dict[str, Any] = {k: state.begin[k] for k in ("consent",) if k in state.begin}
     if accepted := accepted_findings(lines):
         extra["accepted"] = accepted
@@ -79,9 +79,9 @@ def _frame(line: Line) -> Frame:
 
 
 def _levels(lines: Sequence[Line]) -> dict[str, list[float]]:
-    """What was driven for each pattern: as an older journal's ``shot`` says, or as last lit."""
-    told: dict[str, dict[str, list[float]]] = {"lit": {}, "shot": {}}
+    """What was driven for each pattern: from an older journal's ``shot``, or as last lit."""
+    levels: dict[str, dict[str, list[float]]] = {"lit": {}, "shot": {}}
     for line in lines:
-        if line["event"] in told and "levels" in line:
-            told[line["event"]][line["pattern"]] = list(line["levels"])
-    return told["lit"] | told["shot"]
+        if line["event"] in levels and "levels" in line:
+            levels[line["event"]][line["pattern"]] = list(line["levels"])
+    return levels["lit"] | levels["shot"]

@@ -1,6 +1,6 @@
 """The journal: an append-only file of one JSON object a line, each on the disk before it counts.
 
-Every line has ``id`` (1, 2, ..; later lines have larger ones, and they alone tell the order),
+Every line has ``id`` (1, 2, ..; later lines have larger ones, and they alone give the order),
 ``time_utc`` (the computer's clock, which may be set back in the middle), ``elapsed_s`` (a steady
 clock, from zero when this process opened the journal) and ``event``.
 
@@ -109,7 +109,7 @@ class Journal:
 
     @staticmethod
     def resumed(path: Path) -> tuple[Journal, list[Line]]:
-        """Open a journal to go on with it; its next event must be ``resume``.
+        """Open a journal to resume it; its next event must be ``resume``.
 
         Returns:
             The journal, locked, and the lines that are in it.
@@ -179,7 +179,7 @@ class Journal:
             self._id += 1
             line: Line = {
                 "id": self._id,
-                "event": event,  # also half a line tells what it was to be
+                "event": event,  # also half a line shows what it was to be
                 "time_utc": utc_now(),
                 "elapsed_s": round(time.monotonic() - self._begun_s, 6),
                 **facts,
@@ -223,7 +223,7 @@ class Journal:
                 self._put(batch)
                 for line in batch:
                     self.book(line)
-                    self._tell(line)
+                    self._notify(line)
             except Exception as error:  # whatever it is, those who wait must learn of it
                 failure = error
             with self._state:
@@ -264,7 +264,7 @@ class Journal:
                 )
         self._torn = False
 
-    def _tell(self, line: Line) -> None:
+    def _notify(self, line: Line) -> None:
         for listener in list(self.listeners):
             try:
                 listener(line)
@@ -311,5 +311,5 @@ def _taken(path: Path) -> CaptureError:
         path,
         found="a journal",
         expected="none yet",
-        hint="Go on with it by --resume, or give another folder.",
+        hint="Resume it by --resume, or give another folder.",
     )

@@ -1,8 +1,8 @@
 """What happens in a capture, as lines of its journal.
 
-Events: ``begin`` and ``resume`` (what is planned, who the devices are, what lies on the cards),
+Events: ``begin`` and ``resume`` (what is planned, who the devices are, what is on the cards),
 ``devices``, ``lit`` (levels acknowledged), ``trigger`` (before cameras are asked), ``exposed`` (a
-file on a card, under light that lasted), ``frame`` (a photograph, hashed as it lies on the disk),
+file on a card, under light that lasted), ``frame`` (a photograph, hashed from the disk),
 ``failed``, ``finding``, ``accepted`` (findings that the operator lets pass), ``rejected`` (a take
 that does not count), ``retake`` (takes that do not count because somebody wants them again),
 ``recovered`` (a file of uncertain light or label), ``deleting`` and ``deleted`` (on a card),
@@ -28,7 +28,7 @@ class Record:
 
     Attributes:
         journal: the record.
-        state: what it says so far.
+        state: its content so far.
     """
 
     def __init__(self, journal: Journal, state: SessionState) -> None:
@@ -47,7 +47,7 @@ class Record:
         serials: Mapping[str, str | None],
         **facts: Any,
     ) -> Line:
-        """Journal that a capture goes on, with what lies on the cards now."""
+        """Journal that a capture is resumed, with what is on the cards now."""
         return self.journal.write(
             "resume",
             after_torn_line=self.journal.torn,
@@ -64,7 +64,7 @@ class Record:
         Args:
             pattern: its name.
             levels: (n,) that are really driven.
-            acknowledged: whether the lights told so.
+            acknowledged: whether the lights reported it.
             facts: for the record.
         """
         return self.journal.write(
@@ -189,8 +189,8 @@ class Record:
 
 def _facts(finding: Finding) -> dict[str, Any]:
     """A finding as a journal has it."""
-    said = dataclasses.asdict(finding).items()
-    return {name: value for name, value in said if value is not None and value != ()}
+    fields = dataclasses.asdict(finding).items()
+    return {name: value for name, value in fields if value is not None and value != ()}
 
 
 def as_json(files: Collection[CardFile]) -> list[list[Any]]:

@@ -41,7 +41,7 @@ OF_CAMERA = (
     *("serial", "model", "firmware", "mode", "iso", "shutter", "aperture"),
     *("white_balance", "image_format", "focus"),
 )
-"""What is told of each camera: never its owner, artist, copyright or place."""
+"""What is written of each camera: never its owner, artist, copyright or place."""
 _ABSOLUTE = re.compile(r"(?<![\w.+@)-])(?:file:)?(?:/+|~/|[A-Za-z]:[\\/]|\\\\)[\w.~@+-][^\s'\",;]*")
 _PATH = "(path)"
 
@@ -69,7 +69,7 @@ def write_manifest(root: Path, facts: Mapping[str, Any] | None = None) -> Path:
     rig = load_rig(root / "rig.json")
     files, lost = _files(root, state)
     begins = [line for line in lines if line["event"] in ("begin", "resume")]
-    said = {key: value for line in begins for key, value in line.items()}
+    begun = {key: value for line in begins for key, value in line.items()}
     manifest = {
         "schema": SCHEMA,
         "session": session["id"],
@@ -80,13 +80,13 @@ def write_manifest(root: Path, facts: Mapping[str, Any] | None = None) -> Path:
         "software": software_versions(),
         "began_with": lines[0].get("version"),
         "system": system_facts(),
-        "leds": said.get("led_device"),
-        "cameras": _cameras(said.get("told") or {}),
-        "not_verifiable": said.get("not_verifiable") or {},
+        "leds": begun.get("led_device"),
+        "cameras": _cameras(begun.get("told") or {}),
+        "not_verifiable": begun.get("not_verifiable") or {},
         "unacknowledged": [
             pattern for pattern in state.patterns if state.acknowledged(pattern) is False
         ],
-        "configuration": said.get("config") or {},
+        "configuration": begun.get("config") or {},
         "calibration": {
             kind: file for kind, file in session.get("calibration", {}).items() if file is not None
         },
@@ -158,8 +158,8 @@ def check_manifest(root: Path, known: Mapping[str, str] | None = None) -> list[L
         problems.append(_wrong(root / JOURNAL, "no journal", expected, "Restore it."))
     else:
         if len(data) < limit:
-            said = f"{counted(len(data), 'byte')}, cut"
-            problems.append(_wrong(root / JOURNAL, said, f"at least {limit}", "Restore it."))
+            size = f"{counted(len(data), 'byte')}, cut"
+            problems.append(_wrong(root / JOURNAL, size, f"at least {limit}", "Restore it."))
         elif hashlib.sha256(data).hexdigest() != whole:
             problems.append(_wrong(root / JOURNAL, "another beginning", expected, "Restore it."))
     if files.get("rig.json") == _hash_of(root / "rig.json"):
@@ -174,13 +174,13 @@ def check_manifest(root: Path, known: Mapping[str, str] | None = None) -> list[L
 
 
 def _other_session(root: Path, manifest: Mapping[str, Any]) -> list[LightstageError]:
-    """Where a manifest says something else of the session than session.json does."""
+    """Where a manifest differs from session.json."""
     try:
         session = read_json(root / "session.json", "lightstage.session/1")
     except LightstageError:
-        return []  # told with the file's hash
-    said = {**{name: session.get(name) for name in OF_SESSION}, "session": session.get("id")}
-    said["accepted"] = session.get("accepted", {})
+        return []  # reported with the file's hash
+    stated = {**{name: session.get(name) for name in OF_SESSION}, "session": session.get("id")}
+    stated["accepted"] = session.get("accepted", {})
     return [
         FormatError(
             root / MANIFEST,
@@ -189,7 +189,7 @@ def _other_session(root: Path, manifest: Mapping[str, Any]) -> list[LightstageEr
             expected=f"{value!r} (session.json)",
             hint="It is another session's manifest, or one of the two files was changed.",
         )
-        for name, value in said.items()
+        for name, value in stated.items()
         if name in manifest and manifest[name] != value
     ]
 
@@ -200,9 +200,10 @@ def light_map_hash(rig: Rig) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _cameras(told: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+def _cameras(summaries: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     return {
-        camera: {name: summary.get(name) for name in OF_CAMERA} for camera, summary in told.items()
+        camera: {name: summary.get(name) for name in OF_CAMERA}
+        for camera, summary in summaries.items()
     }
 
 

@@ -63,7 +63,7 @@ class Neighbours:
         journal = self._journals[place]
         for line in _read(journal).split(b"\n"):
             if sha256.encode() in line:
-                return f"{_told(line)} in the session {journal.parent.name}"
+                return f"{_photograph(line)} in the session {journal.parent.name}"
         return f"a photograph in the session {journal.parent.name}"
 
 
@@ -87,14 +87,14 @@ def _pieces(handle: int) -> Iterator[bytes]:
 
 
 def _session_of(journal: bytes) -> bytes:
-    """The session's id as the first line of a journal has it; nothing where it tells none."""
+    """The session's id as the first line of a journal has it; empty where it has none."""
     found = _SESSION.search(journal.partition(b"\n")[0])
     return found[1] if found else b""
 
 
-def _told(line: bytes) -> str:
+def _photograph(line: bytes) -> str:
     with contextlib.suppress(FormatError, KeyError, TypeError):
-        said = parse_json(line, "journal", LINE)
-        if said["event"] == "frame":
-            return f"{said['pattern']} by {said['camera']}"
+        fields = parse_json(line, "journal", LINE)
+        if fields["event"] == "frame":
+            return f"{fields['pattern']} by {fields['camera']}"
     return "a photograph"

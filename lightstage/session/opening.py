@@ -22,7 +22,7 @@ RIG = "rig.json"
 def save_beside(
     root: Path, rig: Rig, colour: Mapping[str, Any] | None, beside: Mapping[str, bytes]
 ) -> None:
-    """What lies in a session's folder before its journal begins."""
+    """What is in a session's folder before its journal begins."""
     save_rig(rig, root / RIG)
     if colour is not None:
         write_json(root / COLOUR_PATH, dict(colour))
@@ -52,5 +52,5 @@ def require_new(root: Path) -> None:
 
 
 def rig_hash(rig: Rig) -> str:
-    """SHA-256 of what rig.json says, however it is laid out."""
+    """SHA-256 of rig.json's content, however it is formatted."""
     return hashlib.sha256(json.dumps(rig_to_json(rig), sort_keys=True).encode()).hexdigest()

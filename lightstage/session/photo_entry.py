@@ -44,7 +44,7 @@ class Kept:
         """
         key = key_of(line)
         if file is None or (file.name, file.size) != (line["file"], line["size"]):
-            file = CardFile(line.get("file", ""), line.get("size", 0))  # not told by version 1
+            file = CardFile(line.get("file", ""), line.get("size", 0))  # not in version 1
         suffix = sys.intern(PurePosixPath(line["path"]).suffix)
         usual = bool(suffix) and line["path"] == usual_path(key, suffix)
         return Kept(*key, file, packed(line["sha256"]), suffix if usual else line["path"])
@@ -95,7 +95,7 @@ def stem_of(camera: str, take: int) -> str:
 
 
 def usual_path(key: Key, suffix: str) -> str:
-    """Where a take's photograph lies in a session."""
+    """The file of a take's photograph in a session."""
     return f"frames/{key[0]}/{stem_of(*key[1:])}{suffix}"
 
 
@@ -104,7 +104,7 @@ def key_of(line: Line) -> Key:
     return (sys.intern(line["pattern"]), sys.intern(line["camera"]), line["take"])
 
 
-def told(key: Key) -> str:
+def in_words(key: Key) -> str:
     """A take in words."""
     pattern, camera, take = key
     return f"{pattern} by {camera}" if take == 1 else f"{pattern} by {camera}, take {take}"

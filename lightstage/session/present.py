@@ -83,8 +83,8 @@ def require_on_disk(root: Path, state: SessionState) -> None:
         FormatError: a photograph or another file of the session is missing.
         CaptureError: the disk refuses.
     """
-    said = read_json(root / "session.json", "lightstage.session/1")["calibration"]
-    files = [JOURNAL, "rig.json", "manifest.json", *filter(None, said.values())]
+    calibration = read_json(root / "session.json", "lightstage.session/1")["calibration"]
+    files = [JOURNAL, "rig.json", "manifest.json", *filter(None, calibration.values())]
     missing = [name for name in files if not (root / name).is_file()]
     missing += [each.path for each in absent(root, state.frames())]
     if missing:
@@ -92,12 +92,12 @@ def require_on_disk(root: Path, state: SessionState) -> None:
             root,
             found=f"no {', no '.join(missing[:5])}{' and others' if missing[5:] else ''}",
             expected="all files of the session",
-            hint="Something removes files from this folder. Stop it, then go on.",
+            hint="Something removes files from this folder. Stop it, then continue.",
         )
 
 
 def _is_there(root: Path, kept: Kept) -> bool:
     path = path_inside(root, kept.path, root / JOURNAL, "path")
     with disk_errors(path):
-        # A journal of version 1 does not tell the size.
+        # A journal of version 1 does not have the size.
         return path.is_file() and kept.file.size in (0, path.stat().st_size)

@@ -13,11 +13,11 @@ def check_pseudonym(text: str, field: str) -> str:
 
     Args:
         text: given.
-        field: of the session; what an ``expression`` says is no person's name.
+        field: of the session; an ``expression`` is no person's name.
 
     Raises:
         ConfigError: empty, too long, or what could be a path, an e-mail address, a control
-            character, a name that only looks like another, or a person's name.
+            character, a name that only resembles another, or a person's name.
     """
     # Letters with their accents as one character, however a keyboard or a file name wrote them.
     composed = unicodedata.normalize("NFC", text)
@@ -27,7 +27,7 @@ def check_pseudonym(text: str, field: str) -> str:
     if wanted is not None:
         raise ConfigError(
             f"--{field}",
-            found=ascii(text),  # what looks like something else shall not be printed
+            found=ascii(text),  # what resembles something else shall not be printed
             expected=wanted,
             hint="Use a pseudonym such as P07 or subject-12, never a name, an address or a path.",
         )

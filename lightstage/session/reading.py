@@ -15,7 +15,7 @@ FIRST_SCHEMA = "lightstage.journal/1"
 
 
 def last_run(lines: Sequence[Line]) -> Sequence[Line]:
-    """Lines from which on a session was last gone on with; all where it never was."""
+    """Lines from which on a session was last resumed; all where it never was."""
     resumed = [place for place, line in enumerate(lines) if line["event"] == "resume"]
     return lines[max(resumed, default=0) :]
 

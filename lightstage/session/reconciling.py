@@ -18,7 +18,7 @@ from lightstage.session.camera_clock import Verdict, judge_time
 from lightstage.session.crash_remains import Leftovers
 from lightstage.session.disk import disk_errors
 from lightstage.session.durable_rename import Arrival, is_whole, settle, sha256_on_disk
-from lightstage.session.photo_entry import Kept, Key, told
+from lightstage.session.photo_entry import Kept, Key, in_words
 from lightstage.session.present import why_not_delete
 from lightstage.session.state import Exposed
 from lightstage.session.writer import SessionWriter
@@ -83,7 +83,7 @@ class Reconciler(Leftovers):
                 problems.append(error)
         return problems
 
-    def told(self) -> Reconciled:
+    def result(self) -> Reconciled:
         """All that was done."""
         return Reconciled(
             tuple(self.adopted),
@@ -110,7 +110,7 @@ class Reconciler(Leftovers):
         unknown = sorted(now - self.state.known(camera.id), key=lambda file: file.name)
         self._give_up_outstanding(camera, () if changed else unknown)
         if changed:
-            self._tell_changed(camera, changed, unknown)
+            self._note_changed(camera, changed, unknown)
             files = sorted([file.name, file.size] for file in now)
             self.writer.note("note", about="card", camera=camera.id, cards={camera.id: files})
         else:
@@ -124,7 +124,7 @@ class Reconciler(Leftovers):
                 field="serial",
                 found=f"{now}, another camera than the session began with",
                 expected=before,
-                hint="Connect that one again: photographs may lie on its card.",
+                hint="Connect that one again: photographs may be on its card.",
             )
 
     def _from_card(self, camera: CameraDevice, exposed: Exposed) -> None:
@@ -192,7 +192,7 @@ class Reconciler(Leftovers):
                 self.set_aside(path, exposed, why, of_card=False)
         why = "it was not on this computer yet when the card was emptied or exchanged"
         if exposed.file in now:
-            # A file of its name and size; whether it is this photograph nobody can tell.
+            # A file of its name and size; whether it is this photograph nobody can know.
             self._recover(camera, exposed.file, exposed.pattern, "the card was changed")
         self.reject(exposed.key, why)
 
@@ -209,11 +209,11 @@ class Reconciler(Leftovers):
                 *exposed.key, path, exposed.file, sha256, encoding, adopted=True, verified=UNSURE
             )
         self.adopted.append(exposed.key)
-        self.say(
+        self.add(
             Finding(
                 "warn",
                 "verified-by-size",
-                told(exposed.key),
+                in_words(exposed.key),
                 found="a card that no longer has it, and a whole file on this computer",
                 expected="both, to compare their bytes",
                 hint="It is kept; look at it.",
@@ -229,8 +229,8 @@ class Reconciler(Leftovers):
         maybe_ours = [self._recover(camera, file, pattern, why) for file in unknown]
         if others := maybe_ours.count(False):
             what = counted(others, "photograph")
-            said = f"{what} of other sessions on its card, left alone"
-            self.writer.note("note", camera=camera.id, said=said)
+            note = f"{what} of other sessions on its card, left alone"
+            self.writer.note("note", camera=camera.id, said=note)
         if outstanding is not None:
             why = "its light is not certain" if unknown else "the camera took no photograph of it"
             self.reject((outstanding[0], camera.id, outstanding[1]), why)
@@ -242,11 +242,11 @@ class Reconciler(Leftovers):
             self.recovered.append(kept)
         return kept is not None
 
-    def _tell_changed(
+    def _note_changed(
         self, camera: CameraDevice, changed: Collection[CardFile], unknown: Sequence[CardFile]
     ) -> None:
         left = f" It still holds {counted(len(unknown), 'file')} of others." if unknown else ""
-        self.say(
+        self.add(
             Finding(
                 "warn",
                 "card-changed",
@@ -279,8 +279,8 @@ class Reconciler(Leftovers):
                 continue  # another picture under its name: nobody else has that one
             why = why_not_delete(self.root, self.state, kept.key)
             if why:
-                said = f"{file.name} stays on the card: {why}"
-                self.writer.note("note", camera=camera.id, said=said)
+                note = f"{file.name} stays on the card: {why}"
+                self.writer.note("note", camera=camera.id, said=note)
                 continue
             if file not in begun:
                 self.writer.deleting(pattern, camera.id, file)
@@ -300,18 +300,18 @@ class Reconciler(Leftovers):
             if got.sha256 == kept.sha256:
                 settle(
                     Arrival(
-                        incoming, path.stem, file.size, got.sha256, told(key), key[0], camera.id
+                        incoming, path.stem, file.size, got.sha256, in_words(key), key[0], camera.id
                     )
                 )
-                said = f"{kept.path} came from its card again"
+                note = f"{kept.path} came from its card again"
                 place = {"path": kept.path, "camera": camera.id}
-                self.writer.note("note", about="restored", **place, said=said)
+                self.writer.note("note", about="restored", **place, said=note)
                 self.restored.append(key)
                 return
             with disk_errors(incoming):
                 incoming.unlink()
         self.reject(key, "its file is missing or damaged, and the card does not have it")
-        self.say(
+        self.add(
             Finding(
                 "warn",
                 "photograph-lost",
@@ -326,7 +326,7 @@ class Reconciler(Leftovers):
 
 
 def _other_time(path: Path, exposed: Exposed) -> str:
-    """Why a file is no picture of this exposure by the time in it; empty where nothing says so.
+    """Why a file is no photograph of this exposure by the time in it; empty where it may be.
 
     A card formatted and used again has the same names, and raw files are often of one size.
     """

@@ -21,7 +21,7 @@ from lightstage.session.writer import SessionWriter
 
 
 def arrived(before: Collection[CardFile], now: Collection[CardFile]) -> tuple[CardFile, ...]:
-    """Files that came to a card, in the order in which the camera tells them."""
+    """Files that came to a card, in the order in which the camera lists them."""
     known = set(before)
     return tuple(file for file in now if file not in known)
 
@@ -32,7 +32,7 @@ def reconcile(
     """Bring journal, disk and cards together, after a crash or after a camera failed.
 
     Args:
-        writer: of the session, resumed and `resume` told.
+        writer: of the session, resumed and its `resume` written.
         cameras: opened; all of the session's, or those that failed in it. The disk is looked
             through only where all are given.
         delete: delete on the cards what is kept. A deletion that was begun is ended anyway.
@@ -50,7 +50,7 @@ def reconcile(
         raise one_error(problems)
     if whole:
         found.tidy()
-    return found.told()
+    return found.result()
 
 
 def bring_home(
@@ -60,7 +60,7 @@ def bring_home(
 
     The bytes of each are read back from the disk. One that is missing or damaged comes from its
     card again, or its take is rejected and the pattern is wanted again (`Reconciled.wanted`).
-    What lies on the cards and is not on this computer yet is kept, such as a photograph that was
+    What is on the cards and is not on this computer yet is kept, such as a photograph that was
     taken again because its first take did not come.
 
     Args:
@@ -86,7 +86,7 @@ def bring_home(
             hint="; ".join(map(str, problems)),
         )
     for problem in problems:
-        found.say(
+        found.add(
             Finding(
                 "warn",
                 "card-unread",
@@ -96,4 +96,4 @@ def bring_home(
                 hint="All that counts is kept. Look at the card before you empty it.",
             )
         )
-    return found.told()
+    return found.result()

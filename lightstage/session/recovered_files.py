@@ -22,7 +22,7 @@ class Aside:
     """A file under ``recovered/``.
 
     Attributes:
-        path: where it lies.
+        path: of its file.
         sha256: of its bytes on the disk.
     """
 
@@ -41,7 +41,7 @@ def take_aside(
 
     Args:
         root: the session's folder.
-        camera: on whose card it lies.
+        camera: on whose card it is.
         file: there.
         pattern: what it may be of.
         is_anothers: whether bytes of this SHA-256 are a photograph of another session.

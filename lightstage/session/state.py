@@ -1,4 +1,4 @@
-"""What a session's journal says so far: kept, outstanding, still wanted. Built line by line.
+"""The state of a session by its journal: kept, outstanding, still wanted. Built line by line.
 
 No line is held: of each photograph only what recovery asks for, so that a session of very many
 shots stays small in memory. The rest is in the journal on the disk.
@@ -14,14 +14,14 @@ from typing import Any
 
 from lightstage.cameras.camera import CardFile
 from lightstage.session.events import Line
-from lightstage.session.photo_entry import Kept, Key, Recovered, key_of, packed, stem_of, told
+from lightstage.session.photo_entry import Kept, Key, Recovered, in_words, key_of, packed, stem_of
 
 NOT_OURS = "not-ours"
 """What a note is about that names a file on a card as another session's."""
 CLOCK_SET = "clock-set"
 """What a note is about that names a photograph which was taken while its camera's clock was set."""
 NOT_HELD = ("levels", "cards")
-"""What is long in a journal's first line, and is asked of nobody here."""
+"""What is long in a journal's first line, and not needed here."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -34,9 +34,9 @@ class Exposed:
         take: 1, or more where it was taken again.
         file: on the camera's card.
         beside: other files of the same shot, such as a JPEG.
-        acknowledged: whether the lights told that they were lit; None where it is not known.
-        time_utc: when it was told, by this computer's clock; empty where it is not known.
-        lasted_s: from its trigger until the camera said that the picture was there.
+        acknowledged: whether the lights reported that they were lit; None where it is not known.
+        time_utc: when it was reported, by this computer's clock; empty where it is not known.
+        lasted_s: from its trigger until the camera reported that the photograph was there.
         clock_offset_s: the camera's clock less this computer's then; None where it is not known.
     """
 
@@ -63,10 +63,10 @@ class SessionState:
         lines: from ``begin`` on.
 
     Attributes:
-        begin: the first line, without the levels and what lay on the cards.
+        begin: the first line, without the levels and what was on the cards.
         patterns: of the sequence, in order.
         cameras: ids, in the rig's order.
-        serials: of the cameras, as they told them at the beginning; None where one cannot.
+        serials: of the cameras, as they reported them at the beginning; None where one cannot.
         ended: whether the session was finished.
     """
 
@@ -170,7 +170,7 @@ class SessionState:
     def kept_hashes(self) -> dict[str, str]:
         """SHA-256 of every photograph kept, rejected ones too, with whose it is."""
         with self._lock:
-            return {kept.sha256: told(kept.key) for kept in self._frames}
+            return {kept.sha256: in_words(kept.key) for kept in self._frames}
 
     def outstanding(self, camera: str) -> tuple[str, int] | None:
         """Pattern and take that a camera was to take and of which no exposure is known."""
@@ -207,7 +207,7 @@ class SessionState:
             return dict(self._deleting[camera])
 
     def acknowledged(self, pattern: str) -> bool | None:
-        """Whether the lights told that a pattern was lit when it last was; None: not known."""
+        """Whether the lights reported that a pattern was lit when it last was; None: not known."""
         with self._lock:
             return self._lit.get(pattern)
 

@@ -26,7 +26,7 @@ def software_versions() -> dict[str, str | None]:
         "commit": _commit(),
         "python": platform.python_version(),
         **{name: _package(name) for name in PACKAGES},
-        "libgphoto2": _said([sys.executable, "-c", _ASK_LIBRARY]),
+        "libgphoto2": _output([sys.executable, "-c", _ASK_LIBRARY]),
     }
 
 
@@ -50,10 +50,10 @@ def _commit() -> str | None:
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():  # not some other repository that holds an environment
         return None
-    return _said(["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"])
+    return _output(["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"])
 
 
-def _said(command: list[str]) -> str | None:
+def _output(command: list[str]) -> str | None:
     """The one line that a program prints; None where it fails."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_WAIT_S)

@@ -25,7 +25,7 @@ from lightstage.session.journal import Journal, utc_now
 from lightstage.session.journal_writer import Record, as_json
 from lightstage.session.neighbours import Neighbours
 from lightstage.session.opening import JOURNAL, RIG, require_new, rig_hash, save_beside
-from lightstage.session.photo_entry import Key, stem_of, told
+from lightstage.session.photo_entry import Key, in_words, stem_of
 from lightstage.session.plan import SessionPlan
 from lightstage.session.recovered_files import FOLDER, put_aside, take_aside
 from lightstage.session.state import NOT_OURS, SessionState
@@ -67,8 +67,8 @@ class SessionWriter(Record):
             root: the folder to make.
             rig: saved with the session.
             plan: what it is going to hold.
-            cards: what lies on each camera's card now, by camera id.
-            serials: what each camera tells as its serial number, by camera id.
+            cards: what is on each camera's card now, by camera id.
+            serials: what each camera reports as its serial number, by camera id.
             facts: what else the journal shall begin with (devices, configuration).
             colour: a colour calibration (as read by read_colour) to keep in the session.
             beside: other files of the calibration, by name (read_calibration).
@@ -100,7 +100,7 @@ class SessionWriter(Record):
 
     @staticmethod
     def resumed(root: Path, rig: Rig | None = None, *, finished: bool = False) -> SessionWriter:
-        """Open an unfinished session to go on with it; `resume` must be told first.
+        """Open an unfinished session to resume it; the line `resume` must be written first.
 
         Args:
             root: its folder.
@@ -123,7 +123,7 @@ class SessionWriter(Record):
                     root / RIG,
                     found="another rig than the one that the session began with",
                     expected="the same",
-                    hint="Restore it; the photographs' light cannot be told without it.",
+                    hint="Restore it; the photographs' light is not known without it.",
                 )
             if rig is not None and rig_hash(rig) != own:
                 raise CaptureError(
@@ -161,7 +161,7 @@ class SessionWriter(Record):
         return stem_of(camera, take)
 
     def partial(self, pattern: str, camera: str, take: int) -> Path:
-        """Where a photograph lies while it is being downloaded."""
+        """The file of a photograph while it is being downloaded."""
         return self.root / "frames" / pattern / f".{camera}.take{take}.partial"
 
     def incoming(self, pattern: str, camera: str, take: int) -> Path:
@@ -193,18 +193,18 @@ class SessionWriter(Record):
             camera: who took it.
             take: as in `trigger`; 1 where photographs are imported.
             incoming: where it was downloaded to (`incoming`).
-            file: as the camera tells it.
+            file: as the camera lists it.
             sha256: of the bytes where they left the camera's driver.
             facts: for the journal.
 
         Returns:
-            Where it lies.
+            Where it is.
 
         Raises:
             FormatError: no photograph, or a truncated one.
             CaptureError: the disk holds other bytes, the name is taken, or the disk refuses.
         """
-        where = told((pattern, camera, take))
+        where = in_words((pattern, camera, take))
         stem = self.stem(camera, take)
         path, kind = settle(Arrival(incoming, stem, file.size, sha256, where, pattern, camera))
         self.frame(pattern, camera, take, path, file, sha256, kind.encoding, **facts)
@@ -214,13 +214,13 @@ class SessionWriter(Record):
         """Whose bytes these are already, in words; None: nobody's, and from now on this take's."""
         with self._claiming:
             first = self.state.whose(sha256) or self._claimed.setdefault(sha256, key)
-        return self.twin(sha256) if first == key else told(first)
+        return self.twin(sha256) if first == key else in_words(first)
 
     def twin(self, sha256: str) -> str | None:
         """Which photograph of this session or of one beside it has these bytes, in words."""
         first = self.state.whose(sha256)
         if first is not None:
-            return told(first)
+            return in_words(first)
         for each in self.state.recovered().values():
             if each.sha256 == sha256:
                 return each.path
@@ -268,13 +268,13 @@ class SessionWriter(Record):
         """Bring a file whose light or label is not certain from a card, under ``recovered/``.
 
         Args:
-            camera: on whose card it lies.
+            camera: on whose card it is.
             file: there.
             pattern: what it may be of, None where nothing is known.
             why: for people.
 
         Returns:
-            Where it lies. Called again for the same file, it finds the one that is there. None
+            Where it is. Called again for the same file, it finds the one that is there. None
             for a photograph of a session beside this one: it stays on the card alone.
 
         Raises:
@@ -302,7 +302,7 @@ class SessionWriter(Record):
             why: for people.
 
         Returns:
-            Where it lies.
+            Where it is.
         """
         name = f"{pattern}-{path.name.lstrip('.')}" if file is None else file.name
         kept = put_aside(self.root, camera, path, name)
@@ -312,7 +312,7 @@ class SessionWriter(Record):
     def recovered(
         self, camera: str, path: Path, pattern: str | None, why: str, file: CardFile | None = None
     ) -> None:
-        """Journal a file that lies under ``recovered/`` (`recover` and `aside` do both)."""
+        """Journal a file that is under ``recovered/`` (`recover` and `aside` do both)."""
         relative = path.relative_to(self.root).as_posix()
         told_before = self.state.recovered().get(relative)
         if told_before is not None and (file is None or told_before.file is not None):
@@ -330,7 +330,7 @@ class SessionWriter(Record):
         )
 
     def finish(self) -> Path:
-        """Write session.json from the journal as it lies on the disk; returns its path.
+        """Write session.json from the journal on the disk; returns its path.
 
         Raises:
             FormatError: a shot of the sequence is not finished.

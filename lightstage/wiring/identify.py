@@ -1,4 +1,4 @@
-"""Lights one lamp after the other while an operator says what is seen."""
+"""Lights one lamp after the other while an operator reports what is seen."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 from lightstage.errors import DeviceError, LightstageError
 from lightstage.interrupts import raise_once
 from lightstage.leds.controller import LightLostError
-from lightstage.leds.opening import channel_count, open_leds
-from lightstage.leds.wired import WiredLeds
+from lightstage.leds.opening import channels_needed, open_wired_leds
 from lightstage.rig import Rig
 from lightstage.safety import SafeLights, SafetyConfig
 from lightstage.wiring.walk import HELP, Walk
@@ -20,7 +19,7 @@ def identify(
     rig: Rig,
     leds: str,
     ask: Callable[[str], str],
-    say: Callable[[str], None],
+    show: Callable[[str], None],
     save: Callable[[Rig], None],
     safety: SafetyConfig,
     level: float,
@@ -30,64 +29,62 @@ def identify(
 
     Args:
         rig: its lights, with the addresses to be looked at.
-        leds: the LED device's URL.
+        leds: the LED device's URL, or one of each controller (`open_rig_leds`).
         ask: prints a question and returns the operator's line; EOFError where nobody is there
             any more.
-        say: prints a line.
+        show: prints a line.
         save: keeps the rig; called after each correction.
         safety: limits of light.
         level: in 0..1, of the lamp that shines.
-        channels: of a device that does not tell how many it has; as many as the rig needs.
+        channels: of a device that does not report how many it has; as many as the rig needs.
 
     Returns:
         The rig with its addresses as corrected.
 
     Raises:
-        RigError: lights on several controllers.
+        RigError: other controllers than `leds` names.
         DeviceError: nobody there, fewer channels than the rig needs.
     """
-    needed = channel_count(rig)
     raise_once()
-    with open_leds(leds, max(needed, channels or 0)) as device:
-        count = device.hello.light_count
-        if count < needed:
-            raise DeviceError(
-                "LED device",
-                field="light count",
-                found=str(count),
-                expected=f"at least {needed}, as the rig's addresses go",
-                hint="Is this the rig file of this stage?",
-            )
-        walk = Walk(rig, count)
-        wired = WiredLeds(device, walk.channels)
-        if not device.acknowledged:
-            say("This LED device does not answer: what it lights is what was sent.")
+    with open_wired_leds(leds, rig, channels or 0) as wired:
+        walk = Walk(rig, wired.counts)
+        for name, needed in channels_needed(rig).items():
+            if walk.counts[name] < needed:
+                raise DeviceError(
+                    "LED device",
+                    field="light count",
+                    found=str(walk.counts[name]),
+                    expected=f"at least {needed}, as the rig's addresses go",
+                    hint="Is this the rig file of this stage?",
+                )
+        if not wired.acknowledged:
+            show("This LED device does not answer: what it lights is what was sent.")
         with SafeLights(wired, safety, rig) as lights:
             lights.dark()
             while not walk.over:
                 if walk.lit:
                     _light(lights, level * np.eye(len(rig.lights))[walk.at])
-                    say(walk.told())
-                _step(walk, ask, say)
+                    show(walk.state())
+                _step(walk, ask, show)
                 if walk.rig is not rig:
                     save(walk.rig)
-                    wired.rewire(walk.channels)
+                    wired.rewire(walk.rig.addresses)
                     rig = walk.rig
-                _tell_of_loss(lights, say)
+                _show_loss(lights, show)
                 if not walk.lit:
                     lights.dark()
     return rig
 
 
-def _step(walk: Walk, ask: Callable[[str], str], say: Callable[[str], None]) -> None:
+def _step(walk: Walk, ask: Callable[[str], str], show: Callable[[str], None]) -> None:
     try:
         line = ask(HELP)
     except EOFError:
         walk.over = True
         return
-    said = walk.hear(line)
-    if said:
-        say(said)
+    answer = walk.hear(line)
+    if answer:
+        show(answer)
 
 
 def _light(lights: SafeLights, levels: np.ndarray) -> None:
@@ -99,9 +96,9 @@ def _light(lights: SafeLights, levels: np.ndarray) -> None:
         lights.light(levels)
 
 
-def _tell_of_loss(lights: SafeLights, say: Callable[[str], None]) -> None:
-    """Say so where the lamp went out while somebody looked for it."""
+def _show_loss(lights: SafeLights, show: Callable[[str], None]) -> None:
+    """Report where the lamp failed while somebody looked for it."""
     try:
         lights.confirm()
     except LightstageError as error:
-        say(f"The light was lost: {error}")
+        show(f"The light was lost: {error}")

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Mapping
 
 import numpy as np
 
-from lightstage.rig import Rig
+from lightstage.rig import LightAddress, Rig
 
 HELP = (
-    "Enter next, b back, a number that light; c NUMBER its channel, s NUMBER the light that "
-    "shines instead, d dark, q end: "
+    "Enter or n next, b back, d dark, q end; with Enter: a number that light, c NUMBER its "
+    "channel, s NUMBER the light that shines instead: "
 )
+STEPS = ("n", "b", "d", "q")
+"""What one key does; the others want a number."""
 _SAID = re.compile(r"([a-z?]*)\s*([0-9]{0,10})")
 
 
@@ -22,24 +25,19 @@ class Walk:
 
     Attributes:
         rig: with the addresses as they are now.
-        count: channels of the device.
+        counts: channels of each device, by its controller's name.
         at: place in the rig of the light that is meant.
         lit: whether it shall shine.
         over: whether the walk has ended.
     """
 
     rig: Rig
-    count: int
+    counts: Mapping[str, int]
     at: int = 0
     lit: bool = True
     over: bool = False
 
-    @property
-    def channels(self) -> list[int]:
-        """Channel of each light, in the rig's order."""
-        return [address.channel for address in self.rig.addresses]
-
-    def told(self) -> str:
+    def state(self) -> str:
         """The light that is meant: name, place, address."""
         light, address = self.rig.lights[self.at], self.rig.addresses[self.at]
         return (
@@ -49,11 +47,11 @@ class Walk:
         )
 
     def hear(self, line: str) -> str:
-        """Do what an operator's line says.
+        """Do what an operator's line asks for.
 
         Returns:
             What was done or could not be, in words; empty where the light that is meant now
-            says it.
+            shows it.
         """
         parts = _SAID.fullmatch(line.strip().lower())
         word, number = (parts[1], parts[2]) if parts else ("", "?")
@@ -63,12 +61,13 @@ class Walk:
         elif parts and not word:
             return self._go_to(int(number))
         elif word == "c" and number:
-            return self._connect(self.at, int(number))
+            own = self.rig.addresses[self.at]
+            return self._connect(self.at, LightAddress(int(number), own.controller))
         elif word == "s" and number:
             other = self._place_of(int(number))
             if other is None:
                 return self._no_light(int(number))
-            return self._connect(other, self.channels[self.at])
+            return self._connect(other, self.rig.addresses[self.at])
         elif word == "d" and not number:
             self.lit = False
             return "Dark."
@@ -95,27 +94,33 @@ class Walk:
         ids = [light.id for light in self.rig.lights]
         return f"No light {light_id}: the rig has ids from {min(ids)} to {max(ids)}."
 
-    def _connect(self, place: int, channel: int) -> str:
-        """Give a light a channel; who had it gets the one that the light had, so none is double."""
-        if channel >= self.count:
-            return f"No channel {channel}: there are {self.count}, counted from 0."
-        channels = self.channels
-        light, before = self.rig.lights[place], channels[place]
+    def _connect(self, place: int, wire: LightAddress) -> str:
+        """Give a light a wire; who had it gets the one that the light had, so none is double."""
+        count = self.counts[wire.controller]
+        if wire.channel >= count:
+            return f"No {self._wire(wire)}: there are {count}, counted from 0."
+        wires = list(self.rig.addresses)
+        light, before = self.rig.lights[place], wires[place]
         self.lit = True
-        if before == channel:
-            return f"Light {light.id} ({light.name}) is on channel {channel} already."
-        said = f"Light {light.id} ({light.name}) is on channel {channel} now"
-        if channel in channels:
-            other = channels.index(channel)
-            channels[other] = before
-            said += f", and light {self.rig.lights[other].id} on channel {before}"
-        channels[place] = channel
-        self.rig = self.rig.rewired(channels)
-        return f"{said}."
+        if before == wire:
+            return f"Light {light.id} ({light.name}) is on {self._wire(wire)} already."
+        text = f"Light {light.id} ({light.name}) is on {self._wire(wire)} now"
+        if wire in wires:
+            other = wires.index(wire)
+            wires[other] = before
+            text += f", and light {self.rig.lights[other].id} on {self._wire(before)}"
+        wires[place] = wire
+        self.rig = self.rig.readdressed(wires)
+        return f"{text}."
+
+    def _wire(self, wire: LightAddress) -> str:
+        """A channel in words, with its controller where there are several."""
+        of = f" of {wire.controller}" if len(self.counts) > 1 else ""
+        return f"channel {wire.channel}{of}"
 
 
 def place_in_words(position_mm: np.ndarray) -> str:
-    """Where a light stands, as somebody sees it who stands at the frontal camera.
+    """Where a lamp is, as somebody sees it who is at the frontal camera.
 
     Args:
         position_mm: (3,) in the world.
@@ -136,6 +141,9 @@ def corrections(before: Rig, after: Rig) -> list[str]:
     pairs = zip(before.lights, before.addresses, after.addresses, strict=True)
     return [
         f"light {light.id} ({light.name}): channel {was.channel} -> {now.channel}"
+        if was.controller == now.controller
+        else f"light {light.id} ({light.name}): channel {was.channel} of {was.controller} -> "
+        f"{now.channel} of {now.controller}"
         for light, was, now in pairs
-        if was.channel != now.channel
+        if was != now
     ]

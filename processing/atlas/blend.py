@@ -21,7 +21,7 @@ class BlendConfig:
     """Power on the weights of the fine band: the best view's detail is kept, not averaged away."""
     detail_least: float = 0.1
     """A view whose weight is below this share of the best's adds nothing to the fine band, where
-    it would count a ten-thousandth: less than half floats can tell."""
+    it would count a ten-thousandth: half floats do not resolve that."""
     weights: WeightConfig = dataclasses.field(default_factory=WeightConfig)
 
 

@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from processing.atlas.raster import Raster
-from processing.registration.laplacian import cotangent_laplacian, tie_components
+from processing.laplacian import cotangent_laplacian, tie_components
 
 SEEN, BY_SYMMETRY, BY_DIFFUSION = 0, 1, 2
 """Values of the map `filled`."""

@@ -56,7 +56,7 @@ def picture(
         values: (k,) or (k, c).
         shape: of the atlas, rows and columns.
         texels: (k,) flat indices.
-        gutter: flat indices of the gutter's texels and of those they copy.
+        gutter: (g,) flat indices of the gutter's texels and (g,) of those they copy.
         outside: value of all others.
         half: in half floats.
 

@@ -1,7 +1,7 @@
 """Reading a view's maps at texels: sharply for detail, from a small blurred copy for the low band.
 
-All maps of a view are read at once: a pixel's channels lie side by side, so that where a texel lies
-and which pixels serve it is worked out once and not for every map.
+All maps of a view are read at once: a pixel's channels are side by side, so that a texel's place
+and the pixels that serve it are computed once and not for every map.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ most 2 % to longer ones."""
 
 
 CLOSED, USABLE, SURROUNDED = 0, 1, 2
-"""What `readable` says of a pixel."""
+"""The values of `readable` for a pixel."""
 
 
 class Reading(NamedTuple):
@@ -84,7 +84,7 @@ def readable(usable: np.ndarray) -> np.ndarray:
     """
     plain = usable.astype(np.uint8)
     window = np.ones((4, 4), np.uint8)
-    # What lies beyond the picture counts as closed.
+    # What is beyond the picture counts as closed.
     inner = cv2.erode(
         plain, window, anchor=(1, 1), borderType=cv2.BORDER_CONSTANT, borderValue=(0.0,)
     )
@@ -100,7 +100,7 @@ def side_by_side(pictures: Iterable[np.ndarray], channels: int) -> np.ndarray:
     """All channels of all pictures, a pixel's one after the other.
 
     Args:
-        pictures: (h, w) or (h, w, c) float16 each; one is let go before the next is asked for.
+        pictures: (h, w) or (h, w, c) float16 each; one is released before the next is read.
         channels: of all of them.
 
     Returns:
@@ -138,7 +138,7 @@ def low_band(image: np.ndarray, usable: np.ndarray, sigma_px: float) -> LowBand:
         sigma_px: of the Gaussian.
 
     Returns:
-        LowBand; its blur's variance is that asked for, the cells' own included.
+        LowBand; its blur has the variance that was requested, the cells' own included.
     """
     step = max(1, int(sigma_px / 3))
     height, width, channels = image.shape
@@ -236,7 +236,7 @@ def _cover(usable: np.ndarray, left: int, top: int, tx: float, ty: float) -> np.
 
 @numba.njit(cache=True)
 def _place(pixel: np.ndarray, k: int) -> tuple[int, int, float, float]:
-    """The pixel left above a sample, and how far past that pixel's centre it lies."""
+    """The pixel left above a sample, and the sample's distance from that pixel's centre."""
     half = np.float32(0.5)
     x, y = pixel[k, 0] - half, pixel[k, 1] - half
     left, top = int(np.floor(x)), int(np.floor(y))

@@ -23,7 +23,7 @@ def skin_vertices(template: Template, margin_mm: float) -> np.ndarray:
     regions that are named otherwise. Left out are the region `eyes`, what the landmarks of an eye
     or of the lips' inner border enclose in the texture, and all that is nearer than a margin to any
     of these: registration leaves lids and lips off by about as much, so an iris, lashes or teeth
-    may lie there.
+    may be there.
 
     Args:
         template: with landmarks; its regions may be empty.

@@ -14,6 +14,7 @@ import numba
 import numpy as np
 
 from processing.atlas.raster import Raster
+from processing.vectors import unit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,13 +65,13 @@ def tangent_frames(
     total = np.zeros((int(corner.max()) + 1, 3))
     for k in range(3):
         normal = normals[triangles[:, k]]
-        ahead, behind = (_unit(_flat(p[:, (k + step) % 3] - p[:, k], normal)) for step in (1, 2))
+        ahead, behind = (unit(_flat(p[:, (k + step) % 3] - p[:, k], normal)) for step in (1, 2))
         angle = np.arccos(np.clip(np.einsum("ti,ti->t", ahead, behind), -1, 1))
         angle[area == 0] = 0
-        weighted = angle[:, None] * _unit(_flat(along, normal))
+        weighted = angle[:, None] * unit(_flat(along, normal))
         for axis in range(3):
             total[:, axis] += np.bincount(corner[:, k], weighted[:, axis], len(total))
-    return TangentFrames(corner.astype(np.int32), _unit(total), sign)
+    return TangentFrames(corner.astype(np.int32), unit(total), sign)
 
 
 def to_tangent_space(
@@ -141,7 +142,7 @@ def from_tangent_space(
     flat = np.linalg.norm(across, axis=1) <= 1e-9
     given = np.where(flat[:, None], [0.0, 0.0, 1.0], given)
     world = given[:, :1] * along + given[:, 1:2] * across + given[:, 2:] * normal
-    return _unit(world).astype(np.float32)
+    return unit(world).astype(np.float32)
 
 
 @numba.njit(cache=True, parallel=True)
@@ -201,9 +202,3 @@ def _flat(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """The part of (n, 3) vectors across unit normals."""
     flat: np.ndarray = vectors - np.einsum("ni,ni->n", vectors, normals)[:, None] * normals
     return flat
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    unit: np.ndarray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-12)
-    return unit

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 TILE_PX = 64
-"""Side of a tile: its texels lie within a few hundred pixels of a picture, which caches hold."""
+"""Side of a tile: its texels are within a few hundred pixels of a picture, which caches hold."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,7 +31,7 @@ class TileBounds:
     Attributes:
         centre: (t, 3) mm.
         radius_mm: (t,).
-        axis: (t, 3) unit, or zero where normals look everywhere.
+        axis: (t, 3) unit, or zero where normals point everywhere.
         spread_rad: (t,) largest angle of a normal to the axis.
         trusted: (t,) bool, some texel's trust is above 0.
     """

@@ -57,7 +57,7 @@ def silhouette_distance(depth: np.ndarray, mask: np.ndarray, jump_mm: float) -> 
     inside, near = inside[box], depth[box]
     finite = np.where(np.isfinite(near), near, np.float32(1e6))
     kernel = np.ones((3, 3), np.uint8)
-    # A pixel is on an edge when it lies behind a nearer surface or in front of a farther one;
+    # A pixel is on an edge when it is behind a nearer surface or in front of a farther one;
     # a steep but connected surface passes, since its steps halve when the neighbourhood does.
     jump = cv2.dilate(finite, kernel) - cv2.erode(finite, kernel)
     inside &= np.asarray(jump) < jump_mm

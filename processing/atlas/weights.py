@@ -35,7 +35,7 @@ class WeightConfig:
     bias_mm: float = 0.4
     """A texel this far behind the z-buffer still counts as seen ..."""
     bias_px: float = 1.5
-    """... and so many pixels' worth of the surface's own slope more."""
+    """... and so many pixels of the surface's own slope more."""
     least_cos: float = 0.15
     """Views from flatter than this show nothing usable."""
     doubt_deg: float = 25.0
@@ -66,7 +66,9 @@ class Texels:
     def of(
         cls, positions: np.ndarray, normals: np.ndarray, trust: np.ndarray, start: np.ndarray
     ) -> Texels:
-        """With the bounds that follow."""
+        """Texels with the bounds that follow: (k, 3) places in mm, (k, 3) unit normals, (k,)
+        trust, and the (t + 1,) first texels of t tiles with the end.
+        """
         return cls(positions, normals, trust, start, bound(start, positions, normals, trust))
 
 
@@ -78,7 +80,7 @@ class ViewSamples:
         window: rows and columns of the view's maps that are ever read.
         reading: where in that window.
         footprint_mm: width of a pixel on the surface.
-        tiles: how many tiles were looked at; the others cannot face the view.
+        tiles: how many tiles were computed; the others cannot face the view.
     """
 
     window: tuple[slice, slice]
@@ -88,7 +90,7 @@ class ViewSamples:
 
 
 class Sampler:
-    """Looks at the atlas's texels through one view after the other."""
+    """Sees the atlas's texels through one view after the other."""
 
     def __init__(
         self,

@@ -36,7 +36,7 @@ class Workers:
     Attributes:
         address: of the scheduler.
         client: Dask's.
-        events: what workers told of their progress, and the names of tasks that ended.
+        events: the workers' reports of their progress, and the names of tasks that ended.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Workers:
                 "--scheduler",
                 found=f"nothing that answers at {self.address} ({str(error)[:120]})",
                 expected="the address of a Dask scheduler, such as tcp://HOST:8786",
-                hint="Start one with `dask scheduler`, and look whether its version of "
+                hint="Start one with `dask scheduler`, and check that its version of "
                 f"distributed is {distributed.__version__}.",
             ) from None
         client.subscribe_topic(TOPIC, self._heard)
@@ -77,7 +77,7 @@ class Workers:
     def submit(
         self, name: str, work: Callable[..., Any], *words: Any, on: list[str] | None
     ) -> distributed.Future:
-        """Begin a task; an event of kind `ended` says when it is over.
+        """Begin a task; an event of kind `ended` reports its end.
 
         Args:
             name: of the task, never used before.
@@ -142,7 +142,7 @@ def open_workers(scheduler: str | None, count: int, config: BatchConfig) -> Iter
         ConfigError: no scheduler at this address.
     """
     settings = {
-        # A worker's death is told at once: the batch counts the tries, and tells why.
+        # A worker's death is reported at once: the batch counts the tries, and names the reason.
         "distributed.scheduler.allowed-failures": 0,
         "distributed.scheduler.worker-ttl": f"{config.stalled_s} s",
         "distributed.scheduler.work-stealing": False,

@@ -67,7 +67,7 @@ def batch_command(
 
     if until not in STAGES:
         raise ProcessingError("--until", found=repr(until), expected=", ".join(STAGES))
-    count = _asked(workers)
+    count = wanted_workers(workers)
     values = {} if config is None else read_toml(config)
     where = config or "configuration"
     settings = make_config(BatchConfig, values.pop("batch", {}), f"{where}, [batch]")
@@ -80,8 +80,8 @@ def batch_command(
     _end(batch, out, as_json)
 
 
-def _asked(workers: str) -> int | None:
-    """The number of workers that was asked for; None for as many as memory holds."""
+def wanted_workers(workers: str) -> int | None:
+    """The number of workers that the user wants; None for as many as memory holds."""
     if workers == "auto":
         return None
     if not (workers.isdecimal() and 1 <= int(workers[:6]) <= MOST_WORKERS):
@@ -171,14 +171,14 @@ def _run(
         with progress.shown() as show:
             written = time.monotonic()
 
-            def tell(batch: Batch) -> None:
+            def show_batch(batch: Batch) -> None:
                 nonlocal written
                 show(batch.left())
                 if time.monotonic() - written >= settings.page_every_s:
                     written = time.monotonic()
                     page.write_page(out, batch.items, settings.stands_out)
 
-            batch = Batch(items, workers, settings, tell)
+            batch = Batch(items, workers, settings, show_batch)
             try:
                 batch.run()
             finally:
@@ -188,7 +188,7 @@ def _run(
 
 
 def _end(batch: Batch, out: Path, as_json: bool) -> None:
-    """Say what came of it; what failed comes last, and then the command exits 2."""
+    """Report the result; failures come last, and then the command exits 2."""
     items = batch.items
     done = [item for item in items if item.state == "done"]
     failed = [item for item in items if item.state == "failed"]
@@ -216,15 +216,15 @@ def _end(batch: Batch, out: Path, as_json: bool) -> None:
         raise DiskFullError(
             f"{batch.full} No new stage was begun. Make room, and call this again: it goes on."
         )
-    said = [_failure(item) for item in failed]
+    lines = [_failure(item) for item in failed]
     if batch.gone is not None:
-        said.append(f"{batch.gone}; what is done stays done")
+        lines.append(f"{batch.gone}; what is done stays done")
     waiting = len(items) - len(done) - len(failed)
     raise ProcessingError(
         out,
         found=f"{counted(len(items) - len(done), 'session')} not done"
         + (f", {waiting} of them not worked on" if waiting else "")
-        + "".join(f"\n  {line}" for line in said),
+        + "".join(f"\n  {line}" for line in lines),
         expected="all done",
         hint="Mend what is named, or leave these sessions out, and call this again: it goes on.",
     )

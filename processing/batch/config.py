@@ -13,14 +13,14 @@ class BatchConfig:
 
     Attributes:
         tries: how often a stage is begun whose worker dies, hangs or runs out of memory, at most.
-        stalled_s: a stage that tells no progress for so long hangs, and its worker is killed.
-            At 24 megapixels a stage tells some at least every five minutes.
+        stalled_s: a stage that reports no progress for so long hangs, and its worker is killed. At
+            24 megapixels a stage reports progress at least every five minutes.
         busy_s: so long a folder is waited for that another run or batch holds.
         answer_s: so long a scheduler may take to answer when it is connected to.
-        away_s: so long a scheduler, or its first worker, is waited for when it is gone.
+        away_s: the batch waits so long for its first worker, and for a scheduler that is away.
         page_every_s: batch.html is written again so often, and at the end.
         memory_share: of the memory that is free when the batch begins, the share to be used.
-        stands_out: of a figure, the robust z from which it stands out of the other sessions';
+        stands_out: of a figure, the robust z from which it counts as an outlier among all sessions;
             3.5 as in [IglewiczHoaglin1993].
     """
 

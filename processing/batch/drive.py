@@ -18,10 +18,10 @@ from processing.batch.needs import SECONDS, between
 from processing.batch.work import Answer, Order, look, step
 
 LOOK_S = 0.5
-"""So often the batch looks after what no event tells."""
+"""The batch checks so often for what no event reports."""
 SLOTS_S = 2.0
 BUSY_AGAIN_S = 2.0
-"""A folder that another run holds is asked for again after so long."""
+"""The batch tries a folder that another run holds again after so long."""
 State = Literal["waiting", "done", "failed"]
 
 
@@ -30,13 +30,13 @@ class Item:
     """One session of a batch.
 
     Attributes:
-        order: what workers are told.
+        order: what workers receive.
         session_id: its id, the name of its folder in the batch's.
         subject: the person's pseudonym.
         expression: such as ``neutral``.
         size_mp: megapixels of a photograph.
         state: `waiting` until it is done or has failed.
-        left: stages that are not up to date; None until it was looked at.
+        left: stages that are not up to date; None until they are known.
         ran: stages that this batch ran.
         verified: whether this batch held its photographs against their hashes.
         tries: how often the stage that is next was begun and given up.
@@ -98,15 +98,15 @@ class Batch:
         items: list[Item],
         workers: Workers,
         config: BatchConfig,
-        tell: Callable[[Batch], None] = lambda _: None,
+        show: Callable[[Batch], None] = lambda _: None,
     ) -> None:
-        """`tell` is called twice a second, for progress and the page."""
+        """`show` is called twice a second, for progress and the page."""
         self.items = items
         self.config = config
         self.full: str | None = None
         self.gone: str | None = None
         self._workers = workers
-        self._tell = tell
+        self._show = show
         self._running: dict[str, Running] = {}
         self._numbers = itertools.count()
         self._slots: dict[str, int] = {}
@@ -127,7 +127,7 @@ class Batch:
                 self._look_after()
                 self._begin()
                 self._hear()
-                self._tell(self)
+                self._show(self)
         except BaseException:
             running = [each.future for each in self._running.values()]
             self._workers.stop(self.items[0].order.batch, running)
@@ -174,7 +174,7 @@ class Batch:
             for item in self.items
             if item.state == "waiting" and id(item) not in busy and item.not_before <= now
         ]
-        # All are looked at first: only then can the time that is left be told.
+        # All are checked first: only then is the time that is left known.
         ready.sort(key=lambda item: (item.left is not None, not item.begun))
         for item in ready[: max(0, len(fit) - len(self._running))]:
             name = f"{item.order.batch}-{next(self._numbers)}"
@@ -222,7 +222,7 @@ class Batch:
             else:
                 self._again(item, f"{type(error).__name__}: {str(error)[:400]}")
         else:
-            # Cancelled, or lost with the scheduler: nothing is known of it, so it is looked at.
+            # Cancelled, or lost with the scheduler: its state is not known, so it is checked.
             item.left = None
 
     def _answered(self, item: Item, answer: Answer) -> None:
@@ -259,11 +259,11 @@ class Batch:
     def _again(self, item: Item, reason: str) -> None:
         item.tries += 1
         item.reason = reason
-        # A killed worker's folder may hold half of a stage: what is left is asked anew.
-        stage = item.left[0] if item.left else "the first look"
+        # A killed worker's folder may hold half of a stage: what is left is checked anew.
+        stage = item.left[0] if item.left else "the first check"
         if item.tries >= self.config.tries:
-            said = f"{stage} was begun {counted(item.tries, 'time')}, the last time: {reason}"
-            self._fail(item, said)
+            message = f"{stage} was begun {counted(item.tries, 'time')}, the last time: {reason}"
+            self._fail(item, message)
 
     def _fail(self, item: Item, reason: str, trace: str = "") -> None:
         item.state, item.reason, item.trace = "failed", reason, trace
@@ -288,7 +288,7 @@ class Batch:
         for name, running in list(self._running.items()):
             if now - running.since < self.config.stalled_s:
                 continue
-            # Stages that wait for a worker have told none yet, and do not hang.
+            # Stages that wait for a worker have reported no progress yet, and do not hang.
             if running.worker is None and len(self._slots) == 0:
                 continue
             del self._running[name]
@@ -297,7 +297,7 @@ class Batch:
                 self._workers.restart(running.worker)
                 self._slots_at = float("-inf")
             self._again(
-                running.item, f"it told no progress for {self.config.stalled_s:g} s, and was killed"
+                running.item, f"it reported no progress for {self.config.stalled_s:g} s: killed"
             )
 
     def _look_for_lost(self) -> None:
@@ -317,7 +317,7 @@ class Batch:
             self.gone = f"no worker that fits came within {self.config.away_s:g} s: {reason}"
 
     def _went_away(self, now: float) -> None:
-        """The scheduler does not answer: wait for it, then look at all again."""
+        """The scheduler does not answer: wait for it, then check all sessions again."""
         if self._away_since is None:
             self._away_since = now
         if self._workers.again():

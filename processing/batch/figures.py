@@ -22,7 +22,7 @@ class Figure:
 
     Attributes:
         name: with its unit.
-        stage: that told it.
+        stage: that reports it.
         of: the number of the stage's facts; None where there is none.
         worse: 1 where more is worse, -1 where less is.
     """
@@ -94,7 +94,7 @@ def numbers(facts: Facts) -> list[float | None]:
 
 
 def robust_z(values: Sequence[float | None]) -> np.ndarray:
-    """How far each value lies from the median, in robust standard deviations.
+    """How far each value is from the median, in robust standard deviations.
 
     z = (x - median) / (1.4826 MAD), the modified z-score of [IglewiczHoaglin1993]. Where more than
     half of the values are the same, their mean absolute deviation times 1.2533 takes the MAD's
@@ -127,7 +127,7 @@ def robust_z(values: Sequence[float | None]) -> np.ndarray:
 
 
 def standing_out(rows: Sequence[Sequence[float | None]]) -> np.ndarray:
-    """How far each session's figures lie on their bad side.
+    """How far each session's figures are on their bad side.
 
     Args:
         rows: `numbers` of n sessions.

@@ -1,4 +1,4 @@
-"""DIR/batch.html and DIR/batch.json: all sessions of a batch, and which to look at first."""
+"""DIR/batch.html and DIR/batch.json: all sessions of a batch, and which to inspect first."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def write_page(out: Path, items: Sequence[Item], limit: float) -> list[dict[str,
     Args:
         out: the batch's folder, in which each session has a folder of its id.
         items: the sessions.
-        limit: robust z from which a figure stands out.
+        limit: robust z from which a figure is an outlier.
 
     Returns:
-        Of each session what batch.json says of it.
+        Each session's entry in batch.json.
     """
     rows = [numbers(item.facts) for item in items]
     apart = standing_out(rows)
@@ -62,7 +62,7 @@ def write_page(out: Path, items: Sequence[Item], limit: float) -> list[dict[str,
             [(_report(out, item), item.order.session, item.reason) for item in failed],
         )
         sections.append(Section(f"{counted(len(failed), 'session')} failed", [table]))
-    sections.append(Section("Look at these first", _first(out, items, rows, apart, limit)))
+    sections.append(Section("Inspect these first", _first(out, items, rows, apart, limit)))
     sections.append(Section("All sessions", [_all(out, items, rows, apart, limit)]))
     write_report(out / PAGE, f"Batch of {counted(len(items), 'session')}", sections)
     return sessions
@@ -80,25 +80,25 @@ def _first(
     apart: np.ndarray,
     limit: float,
 ) -> list[str | Table]:
-    """The sessions whose figures lie farthest from the others'."""
+    """The sessions whose figures are farthest from the others'."""
     worst = apart.max(axis=1, initial=0)
     order = [int(i) for i in np.argsort(-worst, kind="stable") if worst[i] >= limit][:FIRST]
     if not order:
-        return ["No figure of a session stands out of the others'."]
+        return ["No figure of a session is far from the others'."]
     found: list[tuple[Cell, ...]] = []
     for index in order:
-        said = [
+        parts = [
             f"{figure.name} {rows[index][column]:.4g} (z {apart[index, column]:.1f})"
             for column, figure in enumerate(FIGURES)
             if apart[index, column] >= limit
         ]
         item = items[index]
-        found.append((_report(out, item), item.subject, item.expression, "; ".join(said)))
+        found.append((_report(out, item), item.subject, item.expression, "; ".join(parts)))
     caption = (
         "The figures that are worse than the median of all sessions by at least "
         f"{limit:g} robust standard deviations (1.4826 times the median absolute deviation)."
     )
-    return [Table(("session", "subject", "expression", "what stands out"), found, caption)]
+    return [Table(("session", "subject", "expression", "outliers"), found, caption)]
 
 
 def _all(

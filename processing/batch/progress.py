@@ -19,7 +19,7 @@ def duration(seconds: float) -> str:
     return f"{seconds:.0f} s"
 
 
-def said(left: Left) -> str:
+def left_in_words(left: Left) -> str:
     """How far a batch is, in one line."""
     text = f"{left.done} of {left.sessions} sessions, {left.stages_done} of {left.stages} stages"
     if left.failed:
@@ -39,18 +39,18 @@ def shown() -> Iterator[Callable[[Left], None]]:
 
     console = Console(stderr=True)
     with console.status("batch") as status:
-        yield lambda left: status.update(f"batch: {said(left)}")
+        yield lambda left: status.update(f"batch: {left_in_words(left)}")
 
 
 def _lines() -> Callable[[Left], None]:
-    told, last = float("-inf"), ""
+    shown_s, last = float("-inf"), ""
 
     def show(left: Left) -> None:
-        nonlocal told, last
-        text, now = said(left), time.monotonic()
+        nonlocal shown_s, last
+        text, now = left_in_words(left), time.monotonic()
         whole = left.done + left.failed == left.sessions
-        if text != last and (whole or now - told >= LINE_EVERY_S):
-            told, last = now, text
+        if text != last and (whole or now - shown_s >= LINE_EVERY_S):
+            shown_s, last = now, text
             print(f"batch: {text}", file=sys.stderr, flush=True)
 
     return show

@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from processing.pipeline import PipelineConfig
 
 TOPIC = "lightstage-batch"
-"""Of the events in which workers tell their progress."""
-TOLD_EVERY_S = 2.0
+"""Of the events in which workers report their progress."""
+PROGRESS_EVERY_S = 2.0
 POOLS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 Status = Literal["done", "busy", "again", "disk full", "unfit", "failed", "stopped"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Order:
-    """One session of a batch, as workers are told of it.
+    """One session of a batch, as workers receive it.
 
     Attributes:
         batch: id of the batch, under which it can be stopped.
@@ -118,7 +118,7 @@ def about(template: str, out: str, sessions: list[str]) -> dict[str, Any]:
     Args:
         template: folder.
         out: the batch's folder.
-        sessions: folders, of which the first that is missing is told.
+        sessions: folders, of which the first that is missing is named.
     """
     from processing.records import code_version, hash_folder
 
@@ -176,7 +176,7 @@ def _work(order: Order, verified: bool | None, worker: str) -> Answer:
         if verified is None:
             left = pipeline.left_to_do(job, order.until)
         else:
-            ran, left = pipeline.run_next(job, order.until, _told(order))
+            ran, left = pipeline.run_next(job, order.until, _progress(order))
     facts = {name: record.facts for name, record in read_records(out).items()}
     reported = pipeline.is_reported(out)
     return Answer("done", worker, ran, tuple(left), reported, facts)
@@ -200,35 +200,35 @@ def _unfit(order: Order) -> str:
 def _failed(error: Exception, worker: str) -> Answer:
     from processing.pipeline import BusyError
 
-    told = explain(error)
-    if told is None:
+    explained = explain(error)
+    if explained is None:
         trace = "".join(traceback.format_exception(error))
-        said = f"a defect of this software: {type(error).__name__}: {error}"
-        return Answer("failed", worker, reason=said[:2000], trace=trace[-20000:])
+        reason = f"a defect of this software: {type(error).__name__}: {error}"
+        return Answer("failed", worker, reason=reason[:2000], trace=trace[-20000:])
     status: Status = "failed"
-    if isinstance(told, BusyError):
+    if isinstance(explained, BusyError):
         status = "busy"
-    elif isinstance(told, DiskFullError):
+    elif isinstance(explained, DiskFullError):
         status = "disk full"
-    elif isinstance(told, MemoryLimitError) or not isinstance(error, LightstageError):
-        # What the system said, not what we found in the files: elsewhere, or later, it may do.
+    elif isinstance(explained, MemoryLimitError) or not isinstance(error, LightstageError):
+        # The system's report, not a fault of the files: elsewhere, or later, the stage may succeed.
         status = "again"
-    return Answer(status, worker, reason=str(told)[:4000])
+    return Answer(status, worker, reason=str(explained)[:4000])
 
 
-def _told(order: Order) -> Any:
-    """A pipeline's bar that tells the batch of progress, and ends the stage where it is stopped."""
+def _progress(order: Order) -> Any:
+    """A pipeline's bar that reports progress to the batch, and ends a stage that is stopped."""
 
     @contextlib.contextmanager
     def bar(stage: str) -> Iterator[ProgressCallback]:
-        told = 0.0
+        sent_s = 0.0
 
         def progress(done: int, total: int) -> None:
-            nonlocal told
+            nonlocal sent_s
             if order.batch in _stopped:
                 raise StoppedWork
-            if time.monotonic() - told >= TOLD_EVERY_S:
-                told = time.monotonic()
+            if time.monotonic() - sent_s >= PROGRESS_EVERY_S:
+                sent_s = time.monotonic()
                 _tell({"out": order.out, "stage": stage, "done": done, "total": total})
 
         progress(0, 0)

@@ -53,7 +53,7 @@ class Picture:
 
 @dataclasses.dataclass(frozen=True)
 class BallShots:
-    """Photographs of a ball that stands in one place.
+    """Photographs of a ball that stays in one place.
 
     Attributes:
         where: what an error names.
@@ -201,7 +201,7 @@ def find_ball(pictures: list[Picture], radius_mm: float, where: Path) -> Outline
     """Find a matte ball by its outline in pictures in which all of it is lit.
 
     A ball's outline is a cone around the way to its centre. What is not on it, such as a stand, is
-    given less weight the farther it lies off.
+    given less weight the farther it is off.
 
     Args:
         pictures: by several cameras at one time.
@@ -226,7 +226,7 @@ def find_ball(pictures: list[Picture], radius_mm: float, where: Path) -> Outline
             where,
             found=f"a lit ball in {len(axes)} of {counted(len(pictures), 'camera')}",
             expected="one in two at least",
-            hint="Is the grey ball in the middle of the stage, and the radius told the right one?",
+            hint="Is the grey ball in the middle of the stage, and its radius right?",
         )
     start = nearest_point(np.array([a[0] for a in axes]), np.array([a[1] for a in axes]))
     origin, ray, scale = np.concatenate(origins), np.concatenate(rays), np.concatenate(px)
@@ -282,7 +282,7 @@ def _crossings(light: np.ndarray, middle: np.ndarray, radius: float) -> np.ndarr
         (places[..., 1] - 0.5).astype(np.float32),
         cv2.INTER_LINEAR,
     )
-    # Pixels at the rim hold the ball by a share: the rim lies where half of one is covered, and the
+    # Pixels at the rim hold the ball by a share: the rim is where half of one is covered, and the
     # light of the ball there is what it is a pixel and a half further in.
     step = float(radius * (reach[1] - reach[0]))
     back = max(1, round(1.5 / step))

@@ -45,7 +45,7 @@ class Pose:
         return f"{name}, {self.patterns[0]}"
 
     def photograph(self, camera: str, pattern: str | None = None) -> Path:
-        """Where a camera's photograph lies; of the first pattern where none is named.
+        """The file of a camera's photograph; of the first pattern where none is named.
 
         Raises:
             FormatError: there is none.
@@ -62,8 +62,8 @@ class Source:
         root: the lab's folder, or the session's.
         poses: kind to its poses, in the order they were taken; kinds that are missing are absent.
         facts: kind to what its shots are (folder, id, created_utc, expires_utc, sha256; target, the
-            board's measures, where the shots tell).
-        warnings: what to tell.
+            board's measures, where the shots have them).
+        warnings: sentences for the user.
     """
 
     root: Path
@@ -86,7 +86,7 @@ def read_source(root: Path, now: datetime.datetime | None = None) -> Source:
     Args:
         root: a lab's folder (of each kind the newest finished shots count), or a session of
             targets as `lightstage-sim targets` writes it.
-        now: to tell what has expired; the computer's clock by default.
+        now: by which kinds have expired; the computer's clock by default.
 
     Raises:
         FormatError: no such folder, nothing finished in it, or shots that were changed since, all
@@ -133,14 +133,14 @@ def read_source(root: Path, now: datetime.datetime | None = None) -> Source:
             poses[kind] = _poses(kind, shots)
         except LightstageError as error:
             problems.append(error)
-        told = shots.file.model_extra or {}
+        extra = shots.file.model_extra or {}
         facts[kind] = {
             "folder": shots.root.name,
             "id": shots.file.id,
             "created_utc": shots.file.created_utc,
             "expires_utc": shots.file.expires_utc,
             "sha256": shots.sha256,
-            **({"target": told["target"]} if told.get("target") else {}),
+            **({"target": extra["target"]} if extra.get("target") else {}),
         }
         if shots.file.expires < now:
             warnings.append(f"{shots.root.name} expired {shots.file.expires_utc}")
@@ -184,10 +184,10 @@ def _targets(session: Session) -> Source:
             expected="patterns such as chart-00, flat-00, dark-00",
             hint="Name a lab's folder, or a session of calibration targets.",
         )
-    told = {
+    target = {
         "folder": session.root.name,
         "id": session.file.id,
         "created_utc": session.file.created_utc,
         "sha256": sha256_file(session.root / "session.json"),
     }
-    return Source(session.root, poses, {kind: dict(told) for kind in poses}, [])
+    return Source(session.root, poses, {kind: dict(target) for kind in poses}, [])

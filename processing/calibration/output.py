@@ -1,4 +1,7 @@
-"""A calibration's folder: colour.json, flats.json, lights.json, pictures, calibration.json."""
+"""A calibration's folder: colour.json, flats.json, lights.json, pictures, calibration.json.
+
+Its pictures show each camera's chart as it reads now, beside what it is.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +9,26 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
 from lightstage.formats.files import atomic_folder, write_json
 from lightstage.formats.lights import write_measured_lights
+from lightstage.formats.png import write_png
+from processing.calibration.colour.chart import COLUMNS, ROWS
 from processing.calibration.colour.chart_reference import chart_reflectance
 from processing.calibration.colour.fit import ColourFit
-from processing.calibration.colour.flat_file import write_flats
-from processing.calibration.colour.swatches import write_swatches
 from processing.calibration.folder import Source
 from processing.calibration.stage import CalibrateConfig, Calibration, calibrate
 from processing.colour import SCHEMA as COLOUR_SCHEMA
-from processing.colour import ColourCorrection
+from processing.colour import ColourCorrection, srgb_from_linear
+from processing.raw.flat_file import write_flats
 from processing.records import versions
 
+SIDE, GAP = 96, 8
+"""Of a chart's patches in their picture, pixels."""
 SCHEMA = "lightstage.calibration/1"
 NAME = "calibration.json"
 COLOUR, FLATS, LIGHTS = "colour.json", "flats.json", "lights.json"
@@ -35,7 +42,7 @@ def make_calibration(
     All of it appears at once; a calibration that is there already is replaced.
 
     Raises:
-        FormatError: `out` is something else (said before anything is measured).
+        FormatError: `out` is something else (refused before anything is measured).
         ProcessingError: see `stage.calibrate`.
     """
     with atomic_folder(out, NAME) as folder:
@@ -70,29 +77,31 @@ def make_calibration(
 
 def headline(found: Calibration) -> str:
     """The figures of a calibration on one line."""
-    said = []
+    parts = []
     if found.fits:
         facts = [fit.facts for fit in found.fits.values()]
         before = np.mean([each["delta_e"]["white_balance_alone"] for each in facts])
         after = np.mean([each["delta_e"]["mean"] for each in facts])
         bent = sum(each["used"] == "root_polynomial" for each in facts)
-        said.append(
+        parts.append(
             f"colours of {counted(len(facts), 'camera')} ({bent} by root-polynomial), Delta E 2000 "
             f"{before:.2f} by white balance alone, {after:.2f} now"
         )
     if "grey" in found.facts:
-        said.append(f"grey ball within {100 * found.facts['grey']['largest_error']:.2f} %")
+        parts.append(f"grey ball within {100 * found.facts['grey']['largest_error']:.2f} %")
     if "flat" in found.facts:
         corners = [each["light_at_the_corner"] for each in found.facts["flat"].values()]
-        said.append(
+        parts.append(
             f"flats of {counted(len(corners), 'camera')}, corners at {100 * min(corners):.1f} %"
         )
     if "dark" in found.facts:
         hot = sum(each["hot_pixels"] for each in found.facts["dark"].values())
-        said.append(f"{counted(hot, 'hot pixel')} in {counted(len(found.facts['dark']), 'camera')}")
+        parts.append(
+            f"{counted(hot, 'hot pixel')} in {counted(len(found.facts['dark']), 'camera')}"
+        )
     if found.lights is not None:
-        said.append(counted(len(found.lights[1].lights), "lamp"))
-    return ", ".join(said)
+        parts.append(counted(len(found.lights[1].lights), "lamp"))
+    return ", ".join(parts)
 
 
 def _colour_entry(correction: ColourCorrection, fit: ColourFit) -> dict[str, Any]:
@@ -105,3 +114,31 @@ def _colour_entry(correction: ColourCorrection, fit: ColourFit) -> dict[str, Any
         "exposure": correction.exposure,
         "facts": {key: fit.facts[key] for key in keys},
     }
+
+
+def write_swatches(fit: ColourFit, known: np.ndarray, path: Path) -> Path:
+    """Draw the 24 patches: as read, in each a square as it is, and the colour difference below.
+
+    Args:
+        fit: of a camera.
+        known: (24, 3) reflectances.
+        path: of a PNG.
+    """
+    pitch = SIDE + GAP
+    picture = np.full((ROWS * pitch + GAP, COLUMNS * pitch + GAP, 3), 20, np.uint8)
+    shown = np.rint(255 * srgb_from_linear(np.stack([fit.read, known]))).astype(np.uint8)
+    for index in range(ROWS * COLUMNS):
+        row, column = divmod(index, COLUMNS)
+        top, left = GAP + row * pitch, GAP + column * pitch
+        read, true = shown[:, index, ::-1]
+        picture[top : top + SIDE, left : left + SIDE] = read
+        inner = SIDE // 3
+        picture[top + inner : top + 2 * inner, left + inner : left + 2 * inner] = true
+        apart = fit.facts["patch_delta_e"][index]
+        text = "" if apart is None else f"{apart:.2f}"
+        if not fit.kept[index]:
+            text += " left out"
+        ink = (0, 0, 0) if known[index].mean() > 0.18 else (255, 255, 255)
+        place = (left + 4, top + SIDE - 6)
+        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.38, ink, 1, cv2.LINE_AA)
+    return write_png(path, picture[:, :, ::-1])

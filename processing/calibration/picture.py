@@ -23,7 +23,7 @@ class Mosaic:
         level: (h, w) float32 counts above black as a share of the white level; even sides.
         clipped: (h, w) bool, at the white level.
         channels: (2, 2) which of R G B (0, 1, 2) the top left four pixels see.
-        exposure: seconds * ISO / f-number^2 as the file tells; None where it does not.
+        exposure: seconds * ISO / f-number^2 from the file; None where it has none.
         orientation: by which what the sensor reads was brought upright.
     """
 

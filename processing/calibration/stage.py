@@ -22,7 +22,6 @@ from processing.calibration.colour.all_cameras import (
 )
 from processing.calibration.colour.chart_reference import chart_reflectance
 from processing.calibration.colour.fit import ColourFit, ColourFitConfig
-from processing.calibration.colour.flat_file import FlatField
 from processing.calibration.colour.flats import FlatConfig, fit_flat, read_darks
 from processing.calibration.colour.grey import GreyConfig
 from processing.calibration.colour.white import white_at
@@ -31,6 +30,7 @@ from processing.calibration.lights.fit import LightsConfig, fit_lights
 from processing.calibration.picture import read_mosaic
 from processing.colour import ColourCorrection
 from processing.errors import ProcessingError
+from processing.raw.flat_file import FlatField
 
 BALLS = ("mirror", "grey")
 GREY_WARNED = 0.03
@@ -39,7 +39,7 @@ GREY_WARNED = 0.03
 
 @dataclasses.dataclass(frozen=True)
 class CalibrateConfig:
-    """What `calibrate` may be told; a table of its TOML file each."""
+    """Settings of `calibrate`; a table of its TOML file each."""
 
     chart: ChartConfig = dataclasses.field(default_factory=ChartConfig)
     colour: ColourFitConfig = dataclasses.field(default_factory=ColourFitConfig)
@@ -60,7 +60,7 @@ class Calibration:
         lights: measured lamps, and the rig whose lamps they are; None without a ball under more
             than one pattern.
         facts: JSON-ready, by part.
-        warnings: what to tell.
+        warnings: sentences for the user.
     """
 
     flats: dict[str, FlatField]
@@ -75,7 +75,7 @@ class Calibration:
 def calibrate(
     source: Source, config: CalibrateConfig, progress: ProgressCallback = quiet
 ) -> Calibration:
-    """Measure all that the photographs tell.
+    """Measure all that the photographs show.
 
     Raises:
         ProcessingError: nothing to measure, or every camera whose photographs will not do, in one
@@ -111,7 +111,7 @@ def calibrate(
         fits = _fits(seen, full, lights, known, config.colour)
     colours = {name: fit.correction for name, fit in fits.items()}
     if fits and full is not None:
-        facts["colour"] = {name: fit.facts | _told(seen[name]) for name, fit in fits.items()}
+        facts["colour"] = {name: fit.facts | _facts(seen[name]) for name, fit in fits.items()}
         warnings += _colour_warnings(fits)
         if "grey" in poses:
             pose = poses["grey"][0]
@@ -146,19 +146,21 @@ def _flats(
             try:
                 mosaics = [read_mosaic(pose.photograph(name)) for pose in seen]
                 if kind == "flat":
-                    fields[name], told = fit_flat(mosaics, camera, config, where)
-                    if told["residual_rms"] > config.max_residual:
-                        warnings.append(f"{where}: uneven by {100 * told['residual_rms']:.1f} %")
+                    fields[name], field_facts = fit_flat(mosaics, camera, config, where)
+                    if field_facts["residual_rms"] > config.max_residual:
+                        warnings.append(
+                            f"{where}: uneven by {100 * field_facts['residual_rms']:.1f} %"
+                        )
                 else:
                     field = fields.get(name, FlatField.even(camera, mosaics[0].orientation))
-                    fields[name], told = read_darks(mosaics, field, config, where)
-                    offset = max(abs(value) for value in told["black_offset"])
+                    fields[name], field_facts = read_darks(mosaics, field, config, where)
+                    offset = max(abs(value) for value in field_facts["black_offset"])
                     if offset > config.max_black_offset:
                         warnings.append(
-                            f"{where}: black lies {100 * offset:.3f} % of white off what the "
-                            "files say; it is corrected"
+                            f"{where}: black is {100 * offset:.3f} % of white off the "
+                            "files' own; it is corrected"
                         )
-                facts.setdefault(kind, {})[name] = told
+                facts.setdefault(kind, {})[name] = field_facts
             except LightstageError as error:
                 problems.append(error)
     if problems:
@@ -220,7 +222,7 @@ def _fits(
     return fit_colours(seen, lights, known, config)
 
 
-def _told(seen: Seen) -> dict[str, Any]:
+def _facts(seen: Seen) -> dict[str, Any]:
     """Where a camera's chart comes from."""
     return {
         "pose": seen.pose.where,
@@ -231,16 +233,18 @@ def _told(seen: Seen) -> dict[str, Any]:
 
 
 def _colour_warnings(fits: dict[str, ColourFit]) -> list[str]:
-    """What of the fits to tell."""
-    said = []
+    """Warnings about the fits of colour."""
+    warnings = []
     for name, fit in fits.items():
         for why, patches in fit.facts["left_out"].items():
             if patches:
                 numbers = ", ".join(str(patch) for patch in patches)
-                said.append(f"chart, {name}: patches {numbers} left out, {why.replace('_', ' ')}")
+                warnings.append(
+                    f"chart, {name}: patches {numbers} left out, {why.replace('_', ' ')}"
+                )
         if fit.facts["delta_e"]["mean"] > 3:
-            said.append(
+            warnings.append(
                 f"chart, {name}: Delta E {fit.facts['delta_e']['mean']:.1f} in the mean; is it the "
                 "chart of the configuration?"
             )
-    return said
+    return warnings

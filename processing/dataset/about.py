@@ -1,4 +1,4 @@
-"""What the lab says of a release, in a TOML file: licence, terms, who made it, answers.
+"""The lab's statements on a release, in a TOML file: licence, terms, who made it, answers.
 
 name = "Skin patches of our lab"
 license = "https://creativecommons.org/licenses/by-nc/4.0/"
@@ -29,16 +29,16 @@ LONGEST_LINE = 500
 
 @dataclasses.dataclass(frozen=True)
 class Answers:
-    """What the software cannot know of a data set; the datasheet asks for what is empty.
+    """What the software cannot know of a data set; the datasheet lists what is empty as open.
 
     Attributes:
         purpose: for what it was made.
         funding: who paid for it.
-        recruitment: who was asked to take part, how, and what they were paid.
+        recruitment: who was invited to take part, how, and what they were paid.
         timeframe: over which time people were captured.
-        ethics_review: which board looked at the work, and what it said.
-        consent: what people were told and agreed to, and how they withdraw.
-        impact: what the set may do to those who are shown, and who looked into it.
+        ethics_review: which board reviewed the work, and its decision.
+        consent: what people agreed to after which explanation, and how they withdraw.
+        impact: what the set may do to those who are shown, and who studied that.
         prior_uses: what it was used for.
         unsuitable_uses: what it must not be used for.
         representation: whom the people stand for, and who is missing.
@@ -62,7 +62,7 @@ class Answers:
 
 @dataclasses.dataclass(frozen=True)
 class About:
-    """What the lab says of a release. All but `version`, `citation` and `answers` must be given.
+    """The lab's statements on a release. All but `version`, `citation` and `answers` are required.
 
     Attributes:
         name: of the data set.
@@ -88,10 +88,10 @@ class About:
 
     def __post_init__(self) -> None:
         """Refuse what lacks a field that must be given, or has one that is none."""
-        missing = [name for name in NEEDED if not _said(getattr(self, name))]
+        missing = [name for name in NEEDED if not _answered(getattr(self, name))]
         if missing:
             raise ConfigError(
-                "what the release says of itself",
+                "the lab's statements on the release",
                 found=f"no {', no '.join(missing)}",
                 expected=f"{', '.join(NEEDED)}",
                 hint="Only the lab can decide these. docs/dataset.md has an example.",
@@ -117,21 +117,23 @@ class About:
 
     @property
     def cited_as(self) -> str:
-        """How the set is cited: as the lab says, or by who made it, its name and version."""
+        """How the set is cited: as the lab has it, or by who made it, its name and version."""
         plain = f"{', '.join(self.creators)}: {self.name}, version {self.version}. {self.url}"
         return self.citation.strip() or plain
 
     @property
     def unanswered(self) -> list[str]:
         """Names of the answers that are missing."""
-        return [name for name, text in dataclasses.asdict(self.answers).items() if not _said(text)]
+        return [
+            name for name, text in dataclasses.asdict(self.answers).items() if not _answered(text)
+        ]
 
 
 NEEDED = ("name", "license", "terms", "creators", "contact", "url")
 
 
 def read_about(path: Path | None) -> About:
-    """Read what the lab says of a release.
+    """Read the lab's statements on a release.
 
     Raises:
         ConfigError: no file, no TOML, an unknown key, a field that is missing or none.
@@ -141,13 +143,13 @@ def read_about(path: Path | None) -> About:
             "--about",
             found="none",
             expected=f"a TOML file with {', '.join(NEEDED)}",
-            hint="Only the lab can say under which licence and terms its people are shown. "
+            hint="Only the lab can decide under which licence and terms its people are shown. "
             "docs/dataset.md has an example.",
         )
     return make_config(About, read_toml(path), path)
 
 
-def _said(value: str | tuple[str, ...]) -> bool:
+def _answered(value: str | tuple[str, ...]) -> bool:
     return any(map(str.strip, value)) if isinstance(value, tuple) else bool(value.strip())
 
 

@@ -21,7 +21,7 @@ LACKING = "Copy the store again from where it is whole, or build it again."
 
 
 def written_whole() -> dict[str, Any]:
-    """What `zarr.create_array` is told of every array besides its name, shape and sizes."""
+    """The options of `zarr.create_array` for every array besides its name, shape and sizes."""
     return {
         "compressors": (zarr.codecs.ZstdCodec(level=3), zarr.codecs.Crc32cCodec()),
         "fill_value": 0,
@@ -61,7 +61,7 @@ def read_part(array: Any, path: Path, *place: slice) -> Any:
 
     Args:
         array: of `open_whole`.
-        path: where it lies.
+        path: of its folder.
         place: rows and columns.
 
     Raises:

@@ -44,7 +44,8 @@ FOLDER_DIGITS = 16
 def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback = quiet) -> Path:
     """Gather the atlas maps of processed folders into one store.
 
-    Every folder is read and checked before anything is said; on an error nothing is left behind.
+    Every folder is read and checked before anything is reported; on an error nothing is left
+    behind.
 
     Args:
         processed: folders with atlas/, head_from_world.json and report.json (subject, expression,
@@ -119,7 +120,7 @@ def add_scan(store: Path, root: Path, consents: Path | None = None) -> str:
     try:
         made = _written(store, entry, maps, beside.name)
         made = dataclasses.replace(made, folder=folder_of(entry))
-        # On the disk before the list tells of them.
+        # On the disk before the list names them.
         for path in beside.rglob("*"):
             fsync_path(path)
         with _changing(store):
@@ -186,7 +187,7 @@ def verify_store(store: Path, progress: ProgressCallback = quiet) -> tuple[int, 
         progress: called after each scan.
 
     Returns:
-        Files that were compared, and what else lies in `scans`: left by somebody who was killed.
+        Files that were compared, and what else is in `scans`: left by a run that was killed.
 
     Raises:
         DatasetError: all files that are missing, changed or not of the store, in one message.
@@ -207,10 +208,10 @@ def verify_store(store: Path, progress: ProgressCallback = quiet) -> tuple[int, 
 
 
 def folder_of(entry: ScanEntry) -> str:
-    """A scan's name in a store: it tells nothing of the person, and is the same in every store."""
+    """A scan's name in a store: it shows nothing of the person, and is the same in every store."""
     # Two people's scans of the same files are two scans.
-    said = "\0".join((entry.subject, entry.expression, entry.sha256))
-    return hashlib.sha256(said.encode()).hexdigest()[:FOLDER_DIGITS]
+    key = "\0".join((entry.subject, entry.expression, entry.sha256))
+    return hashlib.sha256(key.encode()).hexdigest()[:FOLDER_DIGITS]
 
 
 def _require_store(store: Path) -> None:
@@ -292,11 +293,13 @@ def _verify_scan(folder: Path, entry: Entry) -> int:
         if sha256_file(folder / name) != known[name]
     ]
     if wrong:
-        said = "; ".join(wrong[:4]) + (f"; and {len(wrong) - 4} more" if len(wrong) > 4 else "")
+        differences = "; ".join(wrong[:4]) + (
+            f"; and {len(wrong) - 4} more" if len(wrong) > 4 else ""
+        )
         raise DatasetError(
             folder,
             field=f"{entry.scan.subject}, {entry.scan.expression}",
-            found=said,
+            found=differences,
             expected="the files that were written",
             hint=_LACKING,
         )

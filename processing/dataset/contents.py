@@ -1,4 +1,4 @@
-"""What a store's dataset.json says of its scans, and what all of them must agree in.
+"""The scans of a store in dataset.json, and what all of them must agree in.
 
 Every entry holds the sums that the store's statistics are made of, so that a scan comes or goes
 without another one being read.
@@ -26,7 +26,7 @@ from processing.dataset.store import DATASET, PATCH, SCHEMA, STORE, STRIDE
 
 AVERAGED = ("diffuse_albedo", "specular_albedo")
 HISTORY = "history.jsonl"
-"""Which scans each fingerprint of the store stands for, by their SHA-256, without names."""
+"""The scans that each fingerprint of the store covers, by their SHA-256, without names."""
 RELEASES = "releases.jsonl"
 """What was published of the store, and of which scans; it stays in the lab."""
 OLDER = (
@@ -75,12 +75,12 @@ class Entry:
 
 
 def averaged() -> dict[str, int]:
-    """Maps whose mean a store tells, and their channels."""
+    """Maps whose mean a store gives, and their channels."""
     return {name: CHANNELS[name] for name in AVERAGED}
 
 
 def sums_of(maps: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """What a scan adds to the store's statistics."""
+    """What a scan's maps, (rows, columns[, c]) each by name, add to the store's statistics."""
     own = Statistics(averaged())
     own.add(maps, maps["confidence"][:, :, 0] > 0)
     return own.sums()
@@ -110,7 +110,7 @@ def read_entries(store: Path) -> list[Entry]:
 
 
 def write_entries(store: Path, entries: Sequence[Entry], before: Sequence[Entry] = ()) -> None:
-    """Write dataset.json, after a line of the history that says which scans it stands for.
+    """Write dataset.json, after a line of the history that lists the scans it covers.
 
     Args:
         store: its folder.
@@ -220,7 +220,7 @@ def require_fits(root: Path, entry: ScanEntry, others: Mapping[str, ScanEntry]) 
 
 
 def scans_of_fingerprint(store: Path) -> dict[str, set[str]]:
-    """SHA-256 of the scans that each fingerprint in a store's history stood for."""
+    """SHA-256 of the scans that each fingerprint in a store's history covered."""
     from lightstage.formats.values import read_lines
 
     known: dict[str, set[str]] = {}

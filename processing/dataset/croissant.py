@@ -51,7 +51,7 @@ def write_croissant(
 
     Args:
         folder: of the release.
-        about: what the lab says.
+        about: the lab's statements.
         facts: of dataset.json.
         form: `zarr` or `webdataset`.
         day: of publication, YYYY-MM-DD.
@@ -81,7 +81,7 @@ def write_croissant(
 
 
 def _responsible(about: About, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of responsible AI. When people were captured is told nowhere, on purpose."""
+    """The fields of responsible AI. No field states when people were captured, on purpose."""
     answers = about.answers
     kinds = []
     if facts["counts"]["subjects"] > facts["consent"]["subjects_simulated"]:

@@ -1,6 +1,6 @@
 """A release's DATASHEET.md: the questions of [Gebru2021], answered from what is known.
 
-What only the lab knows stands there as an open question until the lab answers it.
+What only the lab knows is there as an open question until the lab answers it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def write_datasheet(folder: Path, about: About, facts: Mapping[str, Any], form: 
 
     Args:
         folder: of the release.
-        about: what the lab says.
+        about: the lab's statements.
         facts: of dataset.json.
         form: `zarr` or `webdataset`.
     """

@@ -1,7 +1,7 @@
 """Taking a person out of a lab's folders: what is theirs, what held them, and the proof.
 
 A plan is written before the first file goes, and kept until the last one has: a call that was
-interrupted goes on with it. What is removed is known by its hash, so that a copy somewhere else is
+interrupted resumes it. What is removed is known by its hash, so that a copy somewhere else is
 found too.
 """
 
@@ -101,7 +101,7 @@ class Found:
 
 
 def plan_path(out: Path, subject: str) -> Path:
-    """Where the plan of a person lies while it is carried out."""
+    """The plan's file of a person while it is carried out."""
     return out / f"forget-{hashlib.sha256(subject.encode()).hexdigest()[:12]}.json"
 
 
@@ -112,14 +112,14 @@ def survey(
 
     Args:
         subject: the pseudonym.
-        folders: where to look, with all that lies in them.
+        folders: where to search, with all that is in them.
         hashed: hash every file that shows the person; otherwise only those that a file of the same
             size elsewhere may be a copy of.
         progress: called after each of the person's folders.
 
     Raises:
         DatasetError: a folder that is not there.
-        FormatError: a file of ours that cannot be read: whose it is cannot be told.
+        FormatError: a file of ours that cannot be read, so that its person is not known.
     """
     for folder in folders:
         if not folder.is_dir():
@@ -164,7 +164,7 @@ def survey(
 
 
 def _walked(folders: Sequence[Path]) -> Iterator[tuple[Path, list[str]]]:
-    """Every folder with the names of its files; what lies in one of ours belongs to it."""
+    """Every folder with the names of its files; what is in one of ours belongs to it."""
     seen: set[Path] = set()
     for folder in folders:
         for root, below, names in os.walk(folder.resolve()):
@@ -192,23 +192,23 @@ def _kind(path: Path, names: Sequence[str]) -> str | None:
 
 
 def _subject(path: Path, names: Sequence[str]) -> str | None:
-    """Whose session or processed folder it is; None where it does not tell."""
+    """Whose session or processed folder it is; None where it does not state it."""
     if "session.json" in names:
         return _text(read_json(path / "session.json"), "subject")
     if "journal.jsonl" in names:
         lines = read_lines(path / "journal.jsonl")
         return next((_text(line, "subject") for line in lines if _text(line, "subject")), None)
-    told = None
+    subject = None
     if "stages.json" in names:
-        told = _text(read_json(path / "stages.json").get("made_from"), "subject")
-    if told is None and "report.json" in names:
-        told = _text(read_json(path / "report.json"), "subject")
-    return told
+        subject = _text(read_json(path / "stages.json").get("made_from"), "subject")
+    if subject is None and "report.json" in names:
+        subject = _text(read_json(path / "report.json"), "subject")
+    return subject
 
 
 def _text(value: Any, key: str) -> str | None:
-    said = value.get(key) if isinstance(value, dict) else None
-    return said if isinstance(said, str) else None
+    text = value.get(key) if isinstance(value, dict) else None
+    return text if isinstance(text, str) else None
 
 
 def _of_stores(subject: str, stores: list[Path], own: list[Path], found: Found) -> None:
@@ -231,7 +231,7 @@ def _of_stores(subject: str, stores: list[Path], own: list[Path], found: Found) 
 
 
 def _holders(stores: list[Path], checkpoints: list[tuple[Path, str]], found: Found) -> None:
-    """Releases and checkpoints that held the person, as the stores' records tell."""
+    """Releases and checkpoints that held the person, by the stores' records."""
     theirs = set(found.scan_sha256)
     held: set[str] = set()
     for store in stores:
@@ -307,8 +307,8 @@ def forget(
 
     Args:
         subject: the pseudonym.
-        folders: where to look.
-        out: folder for the plan and the proof; it must lie in none of the person's folders.
+        folders: where to search.
+        out: folder for the plan and the proof; it must be in none of the person's folders.
         progress: called after each path that went.
 
     Returns:
@@ -407,10 +407,10 @@ def what_is_left(
     """Files that show the person, by their hash, or name the person, by the pseudonym.
 
     Args:
-        subject: the pseudonym, looked for as a word in names of files and in text.
-        folders: where to look.
+        subject: the pseudonym, searched for as a word in names of files and in text.
+        folders: where to search.
         found: what was removed.
-        plan: passed over: it says who is to be forgotten.
+        plan: skipped: it names who is to be forgotten.
 
     Returns:
         `by_hash` and `by_pseudonym`: paths.
@@ -447,7 +447,7 @@ def _word(subject: str) -> re.Pattern[str]:
 
 
 def _names(path: Path, subject: str) -> bool:
-    """Whether a text file says a pseudonym."""
+    """Whether a text file has a pseudonym."""
     if path.suffix.lower() not in TEXT or path.is_symlink() or not path.is_file():
         return False
     if path.stat().st_size > TEXT_BYTES:
@@ -455,7 +455,7 @@ def _names(path: Path, subject: str) -> bool:
     return bool(_word(subject).search(path.read_text("utf-8", errors="replace")))
 
 
-def said_of(found: Found) -> list[str]:
+def found_in_words(found: Found) -> list[str]:
     """What was found, a line each."""
     lines = [f"{kind}: {path}" for kind in KINDS for path in found.removed.get(kind, [])]
     lines += [

@@ -1,10 +1,10 @@
-"""How many people of each age, sex and tone a release shows, so that no few can be told.
+"""How many people of each age, sex and tone a release shows, so that no small group is revealed.
 
-No group of fewer than five is told: groups are put together with the next until there are five
-(table redesign [Hundepool2012]). All groups are in what is told, empty ones too, so that the total
-tells nothing of a part: to leave small groups out would not do, since 13 people of whom 5 are in
-one of three groups tell that the others have 4 each. Counts are rounded down to fives: of two
-releases between which one person was removed, most counts are the same.
+No group of fewer than five is published: groups are put together with the next until there are
+five (table redesign [Hundepool2012]). All groups are in what is published, empty ones too, so that
+the total reveals nothing of a part: to leave small groups out would not do, since 13 people of whom
+5 are in one of three groups reveal that the others have 4 each. Counts are rounded down to fives:
+of two releases between which one person was removed, most counts are the same.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from processing.dataset.scan import AGE_BANDS, OLDEST, SEXES
 from processing.tones import ITA_NAMES, ita_deg, tone_of
 
 FEWEST = 5
-"""People of the smallest group that is told, and what counts are rounded down to."""
+"""People of the smallest group that is published, and what counts are rounded down to."""
 UNKNOWN = "not known"
 
 
 @dataclasses.dataclass(frozen=True)
 class Table:
-    """People by one property, as a release tells it.
+    """People by one property, as a release publishes it.
 
     Attributes:
         what: the property.
         at_least: people by groups put together, rounded down to fives.
-        said: the same in words, or why nothing is told.
+        sentence: the same in words, or why nothing is published.
     """
 
     what: str
     at_least: dict[str, int]
-    said: str
+    sentence: str
 
 
-def told(counts: Mapping[str, int]) -> dict[str, int]:
+def published_counts(counts: Mapping[str, int]) -> dict[str, int]:
     """Groups put together so that each has enough people, and how many these are at least.
 
     Args:
@@ -93,11 +93,13 @@ def _table(
     if not known:
         return Table(what, {}, f"The lab's store knows nobody's {what}.")
     found = Counter(known.get(who, UNKNOWN) for who in everybody)
-    at_least = told({name: found[name] for name in (*groups, UNKNOWN)})
+    at_least = published_counts({name: found[name] for name in (*groups, UNKNOWN)})
     parts = "; ".join(f"{name}: {count} or more" for name, count in at_least.items())
-    said = parts or f"not told, since a group would have fewer than {FEWEST}"
+    counts_in_words = parts or f"not told, since a group would have fewer than {FEWEST}"
     return Table(
-        what, at_least, f"{counted(len(everybody), 'person', 'people')} by {what}: {said}."
+        what,
+        at_least,
+        f"{counted(len(everybody), 'person', 'people')} by {what}: {counts_in_words}.",
     )
 
 

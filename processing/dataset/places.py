@@ -1,7 +1,7 @@
-"""Where the patches of a scan lie that may be published: apart, off any common grid, small.
+"""Where the patches of a scan are that may be published: apart, off any common grid, small.
 
-Neighbouring patches stand a gap apart, each drawn somewhere in its own cell, and each is turned and
-mirrored at random with its own axes for directions, so that no edge says which edge it lay beside.
+Neighbouring patches are a gap apart, each drawn somewhere in its own cell, and each is turned and
+mirrored at random with its own axes for directions, so that no edge shows which edge it was beside.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ CLEAR = 1 / 8
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """One patch: where it lies, and how it is turned before it is published.
+    """One patch: where it is, and how it is turned before it is published.
 
     Attributes:
         scan: index in the store.
@@ -50,12 +50,12 @@ class Place:
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """How far apart patches lie.
+    """Distances between patches.
 
     Attributes:
         size: side of a patch in texels.
         gap: fewest texels between two patches.
-        wander: most texels by which a patch lies off its cell's corner, each way.
+        wander: most texels by which a patch is off its cell's corner, each way.
         min_coverage: smallest share of a patch's texels that are clear skin.
         turned: whether patches are turned and mirrored at random, and their directions with them.
     """
@@ -146,7 +146,7 @@ def size_that_shows(store: Store, most: float) -> int:
     """Side of a patch, in texels, that shows at most a share of the face at most places.
 
     Args:
-        store: the lab's store; the scan that asks for the smallest patch decides.
+        store: the lab's store; the scan that requires the smallest patch decides.
         most: share of a scan's measured skin.
 
     Returns:
@@ -163,7 +163,7 @@ def size_that_shows(store: Store, most: float) -> int:
 
 
 def clear_skin(measured: np.ndarray) -> np.ndarray:
-    """Texels of a patch that lie in a square of measured skin without a gap.
+    """Texels of a patch that are in a square of measured skin without a gap.
 
     Between the hairs of a beard single texels are skin. They are too small for a texture, and
     their outline draws the hair.
@@ -177,7 +177,7 @@ def clear_skin(measured: np.ndarray) -> np.ndarray:
     # Odd, so that the square has a middle and a turned patch has the same texels.
     side = int(CLEAR * len(measured)) | 1
     square = np.ones((side, side), np.uint8)
-    # What lies beyond the patch is not published and makes no square whole.
+    # What is beyond the patch is not published and makes no square whole.
     middles = cv2.erode(
         measured.astype(np.uint8), square, borderType=cv2.BORDER_CONSTANT, borderValue=0
     )
@@ -198,7 +198,7 @@ def _secret_of(store: Store, subject: str) -> int:
 
 
 def _random_axes(rng: np.random.Generator, mirrored: bool) -> np.ndarray:
-    """(3, 3) uniform rotation from a random quaternion, after x is mirrored where asked."""
+    """(3, 3) uniform rotation from a random quaternion, after x is mirrored where wanted."""
     w, x, y, z = (lambda q: q / np.linalg.norm(q))(rng.normal(size=4))
     rotation = np.array(
         [

@@ -44,6 +44,6 @@ def narrow_gap(gap: float) -> str:
 
 
 def cannot_protect(gap: float) -> str:
-    """What a published set of such a gap says of itself."""
+    """The statement of a published set of such a gap."""
     narrow = narrow_gap(gap)
     return f"{CANNOT_PROTECT} Of this set: {narrow}." if narrow else CANNOT_PROTECT

@@ -9,7 +9,7 @@
       NAME/             one array a map, (patches, size, size, channels)
 
 A patch holds diffuse albedo, specular albedo, both normals and the shape (mm, the patch's mean
-removed) of one place, in axes of its own. Nothing says which patches are of one person, session or
+removed) of one place, in axes of its own. Nothing shows which patches are of one person, session or
 place in the texture. Which patches a release leaves out, and the order of the others, are drawn
 anew for each release, with a seed that is written nowhere.
 """
@@ -72,7 +72,7 @@ class PublishConfig:
         fewest_subjects: statistics are left out where fewer people than this would hide in them.
         form: `zarr`: one group; `webdataset`: tars (`release_files`).
         shard_patches: patches that share a file of a zarr group.
-        without_consent: publish scans of people of whom no consent is on record, and say so.
+        without_consent: publish scans of people of whom no consent is on record, and state it.
     """
 
     patch_px: int | None = None
@@ -128,14 +128,14 @@ def publish(
             them. The same seed draws otherwise for another store.
         config: settings.
         progress: called after each patch.
-        about: what the lab says of the release: licence, terms, who made it.
+        about: the lab's statements on the release: licence, terms, who made it.
 
     Returns:
         `out`.
 
     Raises:
         DatasetError: a scan without a consent record, a patch that shows too much of a face, no
-            patch with enough skin, or `out` lies in the store.
+            patch with enough skin, or `out` is in the store.
     """
     config = config or PublishConfig()
     if out.resolve().is_relative_to(store.path.resolve()):
@@ -200,12 +200,12 @@ def publish(
 
 
 def record_release(store: Store, out: Path, folder: Path) -> None:
-    """Keep in the lab which scans a release was made of: the release itself does not tell.
+    """Record in the lab which scans a release was made of: the release itself does not show it.
 
     Args:
         store: the lab's store.
-        out: where the release is going to lie.
-        folder: where it lies now.
+        out: where the release is going to be.
+        folder: where it is now.
     """
     append_line(
         store.path / RELEASES,
@@ -235,13 +235,13 @@ def published_places(store: Store, layout: Layout, most_face: float) -> list[Pla
     size = layout.size
     if found:
         shares = [place.face_share for place in found]
-        said = f"{size} texels, which show up to {max(shares):.1%} of a face"
+        reached = f"{size} texels, which show up to {max(shares):.1%} of a face"
     else:
-        said = f"{size} texels; no place has that much skin"
+        reached = f"{size} texels; no place has that much skin"
     raise DatasetError(
         store.path,
         field="patch",
-        found=said,
+        found=reached,
         expected=f"patches that show skin, each at most {most_face:.1%} of a face",
         hint=f"Try --patch {size_that_shows(store, most_face)}.",
     )
@@ -280,14 +280,14 @@ def _refuse_unasked(store: Store, unasked: list[Scan]) -> None:
         found=f"{counted(len(unasked), 'scan')} without a consent record, of {shown}",
         expected="a consent record of everybody who is shown",
         hint="`lightstage capture --consent ID` records one. Leave these scans out of "
-        "`dataset build`, or publish them --without-consent; the published set then says so.",
+        "`dataset build`, or publish them --without-consent; the published set then states it.",
     )
 
 
 def _people_by(store: Store) -> list[dict[str, Any]]:
-    """People by age, sex and tone as far as the store knows it and it may be told."""
+    """People by age, sex and tone as far as the store knows it and it may be published."""
     entries: list[Entry] = []
-    # A store of an earlier version keeps nothing that tells it.
+    # A store of an earlier version does not record it.
     if all(scan.has_sums for scan in store.scans):
         entries = read_entries(store.path)
     tables = people_tables(entries, (scan.subject for scan in store.scans))
@@ -296,7 +296,7 @@ def _people_by(store: Store) -> list[dict[str, Any]]:
             "what": table.what,
             "groups": list(table.at_least),
             "at_least": list(table.at_least.values()),
-            "said": table.said,
+            "said": table.sentence,
         }
         for table in tables
     ]

@@ -2,8 +2,8 @@
 
     PUB/patches-000000.tar      0000000.diffuse_albedo.npy, 0000000.specular_albedo.npy, ...
 
-What stands before the first dot is a patch's number, what follows is the map. Nothing besides the
-patches themselves says which belong together: all parts of a map have one size, since packing
+Before the first dot is a patch's number, after it the map. Nothing besides the
+patches themselves shows which belong together: all parts of a map have one size, since packing
 would make them as small as a person's skin is smooth, and all files have one time.
 """
 
@@ -85,7 +85,7 @@ class ZarrRelease:
         Listing it, zarr warns of dataset.json, which is no part of the group.
         """
         with warnings.catch_warnings():
-            # It says that the format's text does not define this yet; readers without it list.
+            # Zarr warns that the format's text does not define this yet; readers without it list.
             warnings.simplefilter("ignore")
             zarr.consolidate_metadata(self._folder)
 
@@ -131,6 +131,6 @@ def write_checksums(folder: Path) -> Path:
 
 
 def give_one_time(folder: Path) -> None:
-    """Give all files and folders of a release one time: the order of writing says nothing."""
+    """Give all files and folders of a release one time, so that it does not show their order."""
     for path in (*folder.rglob("*"), folder):
         os.utime(path, (FILE_TIME_S, FILE_TIME_S))

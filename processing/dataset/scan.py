@@ -42,7 +42,7 @@ class DatasetError(ProcessingError):
 
 @dataclasses.dataclass(frozen=True)
 class ScanEntry:
-    """What a store says of one scan in its dataset.json.
+    """A store's entry for one scan in its dataset.json.
 
     Attributes:
         subject: the person's pseudonym.
@@ -52,7 +52,7 @@ class ScanEntry:
         sha256: of all files that went in.
         consent: id of the record of the person's consent; None where there is none.
         synthetic: a simulated person, who needs none.
-        sex: one of `SEXES`; None where the processed folder does not say it.
+        sex: one of `SEXES`; None where the processed folder does not state it.
         age: a band of `AGE_BANDS`, likewise; the years themselves are not kept.
     """
 
@@ -68,7 +68,7 @@ class ScanEntry:
 
 
 def without_people_files(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """Tell folders from the files that `lightstage-sim dataset` writes beside its people.
+    """Separate folders from the files that `lightstage-sim dataset` writes beside its people.
 
     A shell's ``P/*`` names them all.
 
@@ -127,10 +127,10 @@ def read_scan(root: Path) -> tuple[ScanEntry, dict[str, np.ndarray]]:
     maps = {name: folder.read_atlas(name) for name in (*CHANNELS, SKIN)}
     sizes = {name: image.shape[:2] for name, image in maps.items()}
     if len(set(sizes.values())) > 1:
-        said = ", ".join(f"{name} {h} x {w}" for name, (h, w) in sizes.items())
+        sizes_in_words = ", ".join(f"{name} {h} x {w}" for name, (h, w) in sizes.items())
         raise DatasetError(
             root / "atlas",
-            found=f"maps of different size: {said}",
+            found=f"maps of different size: {sizes_in_words}",
             expected="one size",
             hint="Make the atlas again with one --atlas-rows.",
         )
@@ -165,7 +165,7 @@ def age_band(years: float) -> str:
 
 
 def _sex(value: Any, where: Path) -> str | None:
-    """What a report says of a person's sex; None where it says nothing."""
+    """A person's sex by a report; None where it does not state it."""
     if value is not None and value not in SEXES:
         raise FormatError(
             where,
@@ -177,7 +177,7 @@ def _sex(value: Any, where: Path) -> str | None:
 
 
 def _age(value: Any, where: Path) -> str | None:
-    """The band of the age that a report says; None where it says nothing."""
+    """The band of the age in a report; None where it has none."""
     if value is None:
         return None
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
@@ -198,7 +198,7 @@ def scan_digest(folder: ProcessedFolder) -> str:
 
 
 def _require_processed(root: Path) -> None:
-    """Say what is there instead of a processed folder with an atlas."""
+    """Name what is there instead of a processed folder with an atlas."""
     found, hint = "", ""
     if not root.exists():
         found = "no such folder"
@@ -230,7 +230,7 @@ def _require_processed(root: Path) -> None:
 
 
 def _require_current_atlas(root: Path, report: dict[str, Any]) -> None:
-    """Refuse a folder whose report may speak of somebody else than its atlas shows.
+    """Refuse a folder whose report may be of another person than its atlas shows.
 
     A folder that no stage wrote, such as a simulated person's, has neither a record of the stages
     nor their report.

@@ -1,4 +1,4 @@
-"""What is known of a release, in words: its datasheet and its Croissant file say the same."""
+"""What is known of a release, in words: its datasheet and its Croissant file use the same."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ def collection(facts: Mapping[str, Any]) -> str:
     """How the data came about."""
     simulated = facts["consent"]["subjects_simulated"]
     captured = facts["counts"]["subjects"] - simulated
-    said = []
+    sentences = []
     if captured:
-        said.append(
+        sentences.append(
             f"{counted(captured, 'person', 'people')} sat in a light stage, a sphere of lamps with "
             "cameras, and were photographed under known patterns of light."
         )
     if simulated:
-        said.append(
+        sentences.append(
             f"{counted(simulated, 'person', 'people')} of the set are simulated: drawn from a "
             "model of heads and skin. Nobody was photographed for them."
         )
-    return " ".join(said) + " Nothing was taken from the web or from another data set."
+    return " ".join(sentences) + " Nothing was taken from the web or from another data set."
 
 
 def preprocessing() -> str:
@@ -87,21 +87,21 @@ def missing() -> str:
 
 
 def people(facts: Mapping[str, Any]) -> list[str]:
-    """Who is shown, as far as it may be told."""
+    """Who is shown, as far as it may be published."""
     return [str(each["said"]) for each in facts["people_by"]]
 
 
 def personal(facts: Mapping[str, Any]) -> list[str]:
     """What of it is personal."""
     consent = facts["consent"]
-    said = [
+    sentences = [
         "A patch is a picture of somebody's skin and may show a mole, a scar or a wrinkle. Skin "
         "tone is seen in every patch. Names, identifiers, dates, age and sex stand at no patch.",
         f"A consent is on record of {counted(consent['subjects_on_record'], 'person', 'people')}; "
         f"{consent['subjects_simulated']} are simulated, and of {consent['subjects_without']} "
         "there is no record.",
     ]
-    return said
+    return sentences
 
 
 def limitations(facts: Mapping[str, Any]) -> list[str]:
@@ -123,7 +123,7 @@ def uses() -> list[str]:
 
 def maintenance(about: About) -> str:
     """Whom to write to."""
-    said = (
+    text = (
         f"Version {about.version}. Questions, errors and withdrawals of consent: {about.contact}."
     )
-    return f"{said} {about.answers.maintenance}".strip()
+    return f"{text} {about.answers.maintenance}".strip()

@@ -37,7 +37,7 @@ class Pair:
 def pairs_of(session: Session) -> list[Pair]:
     """Pairs of a session's sequence that sum to its `full` of the same polarisation.
 
-    Names say which may, what was really driven says which do.
+    Names decide which may, the levels that were driven decide which do.
     """
     names = session.file.sequence
     out = []
@@ -112,7 +112,7 @@ def unmendable_frames(session: Session) -> list[LightstageError]:
     return _plan(session)[1]
 
 
-def said(recipes: dict[str, dict[str, Recipe]]) -> list[str]:
+def completed_in_words(recipes: dict[str, dict[str, Recipe]]) -> list[str]:
     """Sentences for the report: what was rebuilt from what, for which cameras."""
     cameras: dict[tuple[str, Recipe], list[str]] = {}
     for camera, own in recipes.items():

@@ -1,4 +1,4 @@
-"""Pictures of what a view's photographs say of light and motion, for the report."""
+"""Pictures of light and motion in a view's photographs, for the report."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ UNLIKE_WHITE = 0.6
 
 @dataclasses.dataclass
 class Diagnosis:
-    """Small pictures of one view, any size; filled as its photographs are looked at.
+    """Small pictures of one view, any size; filled as its photographs are checked.
 
     Attributes:
         whole: (h, w, 3) under the most light.
         clipped: (h, w) 0..1, share of a cell that is clipped or no number.
         residuals: axis to (h, w): what a pair has more than full, share of full, as photographed.
-        ambient: (h, w, 3) light that no lamp made, share of full; None where no pair tells.
+        ambient: (h, w, 3) light that no lamp made, share of full; None where no pair shows it.
         unlike: pattern to (r, c): how far from what a ball would show under it, share of full.
     """
 
@@ -40,7 +40,7 @@ class Diagnosis:
 
 
 def diagnosis_path(out: Path, camera_id: str) -> Path:
-    """Where a view's small pictures lie in a processed folder."""
+    """The file of a view's small pictures in a processed folder."""
     return out / "work" / "diagnosis" / f"{camera_id}.npz"
 
 

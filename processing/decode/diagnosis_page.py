@@ -1,4 +1,4 @@
-"""The report's section on light and motion: what each view's photographs say of each other."""
+"""The report's section on light and motion: how well each view's photographs agree."""
 
 from __future__ import annotations
 
@@ -158,16 +158,16 @@ def _table(sums: Mapping[str, Mapping[str, Any]], clipped: Mapping[str, float]) 
         "rebuilt",
         "clipped, % of the subject",
     )
-    said = (
-        "What the sums of the photographs tell of each camera: the pair of gradients of an axis, "
+    caption = (
+        "What the sums of the photographs show of each camera: the pair of gradients of an axis, "
         "added, should give full. Left over: how far it is from that in the mean, when flicker "
         "and ambient light are taken off. It is the photographs' noise as long as all axes have "
         "about the same; bad would be one axis with twice the others', or several per cent: two "
         "photographs that do not belong together, by motion or by their light. Axes apart: the "
         "largest difference of two axes in what their pairs have too much or too little. Clipped: "
         "of the pixels that show the subject, those that are clipped in any of the photographs. "
-        "So it is more than what `lightstage check` tells, which is of all pixels of one "
+        "So it is more than what `lightstage check` reports, which is of all pixels of one "
         "photograph, background included; a capture takes a photograph again above 2 % of the lit "
         "pixels of one colour, where nothing else is configured."
     )
-    return Table(header, rows, said)
+    return Table(header, rows, caption)

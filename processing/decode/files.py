@@ -16,7 +16,7 @@ import numpy as np
 from lightstage.errors import FormatError
 from lightstage.formats.session import Frame, Session
 from processing.decode.session_photographs import Calibrated, Photograph, open_photograph
-from processing.frames.drafts import Draft, Marks, frames_path, read_marks, read_told
+from processing.frames.drafts import Draft, Marks, frames_path, read_facts, read_marks
 from processing.frames.read import power_of_two, read_frames
 from processing.frames.small import SmallPictures
 from processing.frames.window import Window
@@ -28,7 +28,7 @@ from processing.stage_inputs import stage_code
 MOST_THREADS = 4
 """Each holds one photograph's counts in memory."""
 BAND_ROWS = 128
-"""Rows that are developed, looked at and written before the next: they stay in the cache."""
+"""Rows that are developed, checked and written before the next: they stay in the cache."""
 SURROUNDED = 0.3
 """A pattern whose lights' mean direction is shorter than this lights the face from all around."""
 
@@ -61,7 +61,7 @@ class CameraJob:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns that rig.json tells."""
+        """Rows and columns by rig.json."""
         camera = self.session.rig.camera(self.camera)
         return camera.height_px, camera.width_px
 
@@ -88,7 +88,7 @@ class CameraJob:
     def key(self, pattern: str, *more: object) -> str:
         """Hash of all that a photograph's values depend on."""
         frame = self.frames[pattern]
-        known = None if self.calibrated is None else self.calibrated.told()
+        known = None if self.calibrated is None else self.calibrated.identity()
         return hash_of(
             stage_code("decode"),
             frame.sha256,
@@ -102,7 +102,7 @@ class CameraJob:
 
 @dataclasses.dataclass
 class Look:
-    """What a first look at the photographs tells.
+    """What a first reading of the photographs finds.
 
     Attributes:
         key: hash of what it depends on.
@@ -123,13 +123,13 @@ def first_look(job: CameraJob, out: Path, limit: Window, *, crop: bool) -> Look:
     Args:
         job: what is to be decoded.
         out: processed folder; what an earlier run found is used where nothing changed.
-        limit: no more than this is wanted.
-        crop: whether the face is looked for, or all of `limit` is wanted.
+        limit: the largest window.
+        crop: whether the face is searched for, or all of `limit` is taken.
     """
     on = lookers(job.session, [name for name in job.lit if name in job.frames])
     keys = [job.key(name) for name in on]
     key = hash_of(keys, job.foreground_share, crop, dataclasses.asdict(limit))
-    known = _told(job, out).get("look")
+    known = _written_facts(job, out).get("look")
     if known is not None and known["key"] == key:
         return Look(key, Window(**known["window"]), float(known["scale"]))
     looks: list[np.ndarray] = []
@@ -210,8 +210,8 @@ def fill_draft(
         photograph.close()
     for marks in draft.marks.values():
         marks.add_to(draft.clipped)
-    draft.told["keys"] = keys
-    draft.told["look"] = {
+    draft.facts["keys"] = keys
+    draft.facts["look"] = {
         "key": look.key,
         "window": dataclasses.asdict(look.window),
         "scale": look.scale,
@@ -219,22 +219,22 @@ def fill_draft(
     return len(kept)
 
 
-def _told(job: CameraJob, out: Path) -> dict[str, Any]:
+def _written_facts(job: CameraJob, out: Path) -> dict[str, Any]:
     """What the last run wrote of itself; nothing where it left none or another form of it."""
     try:
-        return dict(read_told(frames_path(out, job.camera), job.camera)["told"])
+        return dict(read_facts(frames_path(out, job.camera), job.camera)["told"])
     except (FormatError, KeyError, TypeError):
         return {}
 
 
 def _kept(job: CameraJob, out: Path, keys: Mapping[str, str]) -> dict[str, Marks]:
-    """Photographs whose decoded values lie there as they were: pattern to clipped pixels."""
-    told = _told(job, out)
-    changed = set(told.get("changed_later", []))
+    """Photographs whose decoded values are there as they were: pattern to clipped pixels."""
+    written = _written_facts(job, out)
+    changed = set(written.get("changed_later", []))
     same = [
         name
         for name, key in keys.items()
-        if told.get("keys", {}).get(name) == key and name not in changed
+        if written.get("keys", {}).get(name) == key and name not in changed
     ]
     if not same:
         return {}

@@ -15,7 +15,6 @@ from lightstage.formats.session import Session
 from lightstage.formats.sums import Balance, axes_alike, sum_fault
 from processing.decode.completing import Pair, Recipe, fill, pairs_of
 from processing.decode.diagnosis import Diagnosis, write_diagnosis
-from processing.decode.shrinking import free_cells, shrunk
 from processing.decode.subject_motion import Flow, solve_pair, warp
 from processing.decode.sums import (
     ambient_ratio,
@@ -25,24 +24,24 @@ from processing.decode.sums import (
     residual,
     wrong_patterns,
 )
-from processing.frames.small import SmallPictures, cell_side
+from processing.frames.small import SmallPictures, cell_side, free_cells, shrunk
 from processing.readings import px_per_mm
 
 ALIKE = 0.5
 """Pairs show ambient light alike when they differ by less than this share of it."""
-FORCE = "--force goes on, with photographs that contradict each other."
-TOLD_AMBIENT, TOLD_APART = 0.01, 0.01
+FORCE = "--force continues, with photographs that contradict each other."
+WARN_AMBIENT, WARN_APART = 0.01, 0.01
 """Shares of full above which the report warns."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PrepareConfig:
-    """What the checks of a view's photographs may be told."""
+    """Settings of the checks of a view's photographs."""
 
     forced: bool = False
     """Go on with photographs that do not add up as their patterns do."""
     cells_per_mm: float = 2.0
-    """Of the small pictures that motion and light are looked at in."""
+    """Of the small pictures in which motion and light are measured."""
     still_px: float = 0.25
     """A photograph displaced by less (root mean square) is left as it is."""
     least_explained: float = 0.15
@@ -68,7 +67,7 @@ def prepare_view(
 ) -> dict[str, Any]:
     """Check one view's photographs against each other and mend what can be mended, in place.
 
-    Missing photographs are rebuilt. Photographs that moved are laid upon full, complements
+    Missing photographs are rebuilt. Photographs that moved are placed upon full, complements
     together; where nothing moved nothing is touched. Flicker of single photographs and ambient
     light that all pairs show alike are taken off. Pictures of it all are kept for the report.
 
@@ -111,7 +110,7 @@ def prepare_view(
         "left": {},
         "looks_like": {},
     }
-    told = Diagnosis(view.small[names[0]], 1 - view.free.astype(np.float32))
+    diagnosis = Diagnosis(view.small[names[0]], 1 - view.free.astype(np.float32))
     groups = _groups(session, names, recipes)
     compared, faults = compare_sums(view, groups, session, camera_id)
     if faults and not config.forced:
@@ -119,19 +118,19 @@ def prepare_view(
     facts |= {"sums_compared": compared, "contradictions": [str(fault) for fault in faults]}
     for place, (whole, pairs) in enumerate(groups.items()):
         if not place:
-            told.whole = view.small[whole]
+            diagnosis.whole = view.small[whole]
         gradients = [name for pair in pairs for name in (pair.first, pair.second)]
         found = wrong_patterns(view.small, whole, gradients, view.free, session, camera_id)
         facts["looks_like"] |= found[0]
-        told.unlike |= found[1]
-        told.residuals |= {pair.axis: residual(view.small, pair) for pair in pairs}
+        diagnosis.unlike |= found[1]
+        diagnosis.residuals |= {pair.axis: residual(view.small, pair) for pair in pairs}
         good = [pair for pair in pairs if not {pair.first, pair.second} & set(found[0])]
         if good:
             _align(view, good, config, facts)
-            _even_out(view, good, config, facts, told)
-    if recipes and (facts["aligned"] or facts["flicker"] or told.ambient is not None):
+            _even_out(view, good, config, facts, diagnosis)
+    if recipes and (facts["aligned"] or facts["flicker"] or diagnosis.ambient is not None):
         fill(images, names, dict(recipes))
-    write_diagnosis(out, camera_id, told)
+    write_diagnosis(out, camera_id, diagnosis)
     facts["changed"] = sorted(view.changed)
     return facts
 
@@ -156,7 +155,7 @@ def compare_sums(
     checked += axes_alike({name: session.levels(name) for name in names})
     faults: list[LightstageError] = []
     for balance in checked:
-        # All of both sides is lit somewhere: what is bright in any of them is looked at.
+        # All of both sides is lit somewhere: what is bright in any of them is compared.
         brightest = np.maximum.reduce([view.small[name] for name in balance.patterns])
         lit = lit_cells(brightest, view.free)
         if not lit.any():
@@ -190,25 +189,27 @@ def prepare_warnings(facts: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """
     out: dict[str, list[str]] = {}
     for camera, own in facts.items():
-        told = [
+        sentences = [
             f"{a} looks like {b}: was another pattern lit?" for a, b in own["looks_like"].items()
         ]
         if own["aligned"]:
-            told.append(
+            sentences.append(
                 "the subject moved between shots; " + ", ".join(own["aligned"]) + " aligned"
             )
-        told += [f"{name} was {gain:.3g} times as bright" for name, gain in own["flicker"].items()]
+        sentences += [
+            f"{name} was {gain:.3g} times as bright" for name, gain in own["flicker"].items()
+        ]
         apart, ambient = own["pairs_apart"], own["ambient"]
-        if ambient is not None and max(map(abs, ambient)) > TOLD_AMBIENT:
+        if ambient is not None and max(map(abs, ambient)) > WARN_AMBIENT:
             share = 100 * float(np.mean(ambient))
-            told.append(
+            sentences.append(
                 f"about {share:.1f} % of full is no lamp's light"
                 if share >= 0
                 else f"gradients and their complements together lack {-share:.1f} % of full"
             )
-        if apart is not None and apart > TOLD_APART:
-            told.append("pairs do not sum to full alike: see the pictures of light and motion")
-        for sentence in told:
+        if apart is not None and apart > WARN_APART:
+            sentences.append("pairs do not sum to full alike: see the pictures of light and motion")
+        for sentence in sentences:
             out.setdefault(sentence, []).append(camera)
     return [f"{', '.join(cameras)}: {sentence}" for sentence, cameras in out.items()]
 
@@ -251,7 +252,7 @@ class View:
 def _groups(
     session: Session, names: Sequence[str], recipes: Mapping[str, Recipe]
 ) -> dict[str, list[Pair]]:
-    """Pairs by their whole; a rebuilt photograph tells nothing of its own."""
+    """Pairs by their whole; a rebuilt photograph has no evidence of its own."""
     groups: dict[str, list[Pair]] = {}
     for pair in pairs_of(session):
         three = {pair.first, pair.second, pair.whole}
@@ -261,7 +262,7 @@ def _groups(
 
 
 def _align(view: View, pairs: Sequence[Pair], config: PrepareConfig, facts: dict[str, Any]) -> None:
-    """Lay the photographs that moved upon the whole."""
+    """Place the photographs that moved upon the whole."""
     flows: dict[int, Flow] = {}
     for pair in pairs:
         three = [mean_colour(view.small[n]) for n in (pair.first, pair.second, pair.whole)]

@@ -1,4 +1,4 @@
-"""A session's photographs, RAW or linear, behind one face: look at it, develop a window of it."""
+"""A session's photographs, RAW or linear: find the face in one, develop a window of it."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from lightstage.errors import FormatError
 from lightstage.exif import MOST_STOPS
 from lightstage.formats.exr import read_exr
 from lightstage.formats.session import Frame, Session
-from processing.calibration.colour.flat_file import FlatField, read_flats
 from processing.colour import ColourCorrection, read_colour
 from processing.frames.window import Window
 from processing.raw.develop import Settings, develop, store
+from processing.raw.flat_file import FlatField, read_flats
 from processing.raw.raw_file import RawFile, open_raw, read_exposure
 from processing.raw.region import cell_px, preview
 
@@ -43,7 +43,15 @@ class Photograph(Protocol):
         out: np.ndarray,
         clipped: np.ndarray,
     ) -> None:
-        """Write a window's linear values over `scale`, less `ambient`; see `raw.develop`."""
+        """Write a window's linear values over `scale`, less `ambient`; see `raw.develop`.
+
+        Args:
+            window: of (h, w) pixels.
+            scale: of the values that are written.
+            ambient: (h, w, 3) float32, or None.
+            out: (h, w, 3) float16, overwritten.
+            clipped: (h, w) uint8 marks, overwritten.
+        """
 
     def close(self) -> None:
         """Give its memory back."""
@@ -143,7 +151,7 @@ class Calibrated:
     correction: ColourCorrection | None
     field: FlatField | None
 
-    def told(self) -> list[object]:
+    def identity(self) -> list[object]:
         """JSON-ready: what the photographs' values depend on."""
         field = self.field
         own = self.correction
@@ -190,14 +198,14 @@ def read_calibrations(session: Session, scale: float) -> dict[str, Calibrated]:
 
 
 def flats_path(session: Session) -> Path | None:
-    """Where a session's flats lie; None where it carries none."""
+    """The file of a session's flats; None where it carries none."""
     extra = session.file.calibration.model_extra or {}
     flats = extra.get("flats")
     return None if flats is None else session.root / str(flats)
 
 
 def read_exposures(session: Session, frames: Mapping[str, Frame]) -> dict[str, float | None]:
-    """What a camera's RAW photographs tell of their exposure, by pattern; None where nothing.
+    """The exposures of a camera's RAW photographs, by pattern; None where a file has none.
 
     Raises:
         FormatError: one that cannot be read.
@@ -215,7 +223,7 @@ def exposure_factors(
     exposures: Mapping[str, float | None],
     wanted: float | None,
 ) -> dict[str, float]:
-    """What brings a camera's RAW photographs to one exposure, from what their files tell.
+    """Factors that bring a camera's RAW photographs to one exposure, from their files.
 
     Args:
         session: whose they are.
@@ -224,28 +232,28 @@ def exposure_factors(
         wanted: exposure that the colours hold for; None for the first photograph's.
 
     Returns:
-        Pattern to factor. All 1 where no file tells its exposure.
+        Pattern to factor. All 1 where no file has its exposure.
 
     Raises:
-        FormatError: some files tell and some do not, or exposures too far apart.
+        FormatError: some files have it and some do not, or exposures too far apart.
     """
-    told = {name: exposures.get(name) for name in frames}
+    exposure_s = {name: exposures.get(name) for name in frames}
     raw = [name for name, frame in frames.items() if frame.encoding == "raw"]
-    known = [name for name in raw if told[name] is not None]
-    silent = [name for name in raw if told[name] is None]
+    known = [name for name in raw if exposure_s[name] is not None]
+    silent = [name for name in raw if exposure_s[name] is None]
     if known and silent:
         raise FormatError(
             session.frame_path(frames[silent[0]]),
             field="exposure",
             found="no exposure time, ISO or f-number in the file",
-            expected=f"them, as {known[0]} tells them: photographs of unknown exposure do not "
+            expected=f"them, as {known[0]} has them: photographs of unknown exposure do not "
             "belong together",
             hint="Copy the files from the camera again, unchanged.",
         )
     reference = wanted
     factors = {}
     for name in frames:
-        own = told[name]
+        own = exposure_s[name]
         if own is None:
             factors[name] = 1.0
             continue
@@ -260,7 +268,7 @@ def exposure_factors(
                 expected=f"at most {MOST_STOPS:g}",
                 hint="Were these photographs taken for this session?",
             )
-    # Files tell the same setting alike only to a float's accuracy.
+    # Files give the same setting alike only to a float's accuracy.
     return {n: 1.0 if abs(f - 1) < 1e-5 else float(f) for n, f in factors.items()}
 
 

@@ -16,7 +16,7 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.scale import raw_scale
 from lightstage.formats.session import Session
 from lightstage.formats.sums import UNCHECKED, has_gradient
-from processing.decode.completing import Recipe, missing_patterns, said
+from processing.decode.completing import Recipe, completed_in_words, missing_patterns
 from processing.decode.files import (
     CameraJob,
     Look,
@@ -46,7 +46,7 @@ from processing.readings import px_per_mm
 
 @dataclasses.dataclass(frozen=True)
 class DecodeConfig:
-    """What `decode` may be told."""
+    """Settings of `decode`."""
 
     clip_share: float = 0.99
     """Counts of at least this share of the white level are clipped."""
@@ -109,7 +109,7 @@ def decode(
         exposures = read_exposures(session, frames)
         factors = exposure_factors(session, frames, exposures, wanted)
         if exposures and not any(exposures.values()):
-            warnings.append(f"{camera}: {UNTOLD}")
+            warnings.append(f"{camera}: {NO_EXPOSURE}")
         if len(set(factors.values())) > 1:
             warnings.append(f"{camera}: {_exposures(factors)}")
         shares = config.clip_share, config.foreground_share
@@ -132,7 +132,7 @@ def decode(
         "clipped_share_of_foreground": {c: one.clipped_share for c, one in decoded.items()},
         "foreground_share_of_picture": {c: one.foreground_share for c, one in decoded.items()},
         "sums": sums,
-        "warnings": [*warnings, *said(recipes), *prepare_warnings(sums)],
+        "warnings": [*warnings, *completed_in_words(recipes), *prepare_warnings(sums)],
     }
 
 
@@ -141,12 +141,12 @@ def lit_patterns(session: Session) -> tuple[str, ...]:
     return tuple(p for p in session.file.sequence if session.levels(p).max() > 0)
 
 
-UNTOLD = "no photograph tells its exposure, so all are taken to have the same"
+NO_EXPOSURE = "no photograph has its exposure in its file, so all are taken to have the same"
 UNCALIBRATED = "No colour calibration: white balance from AsShotNeutral, albedo scale unknown."
 
 
 class _Steps:
-    """Tells progress photograph by photograph."""
+    """Reports progress photograph by photograph."""
 
     def __init__(self, progress: ProgressCallback, done: int, total: int) -> None:
         self.progress, self.first, self.done, self.total = progress, done, done, total
@@ -192,7 +192,7 @@ def _limit(job: CameraJob, config: DecodeConfig) -> Window:
 
 
 class _WindowTooSmallError(Exception):
-    """The mask goes on beyond the window: what was written is dropped."""
+    """The mask continues beyond the window: what was written is dropped."""
 
 
 def _decode_window(
@@ -204,7 +204,7 @@ def _decode_window(
     missing: Mapping[str, Recipe],
     step: Callable[[], None],
 ) -> Decoded | None:
-    """Decode what `look` says; None where the mask goes on beyond its window."""
+    """Decode what `look` found; None where the mask continues beyond its window."""
     scale = px_per_mm(job.session.rig.camera(job.camera))
     cell = cell_px(look.window.shape, scale, config.prepare)
     pictures = SmallPictures.empty(look.window.shape, job.lit, cell)
@@ -221,7 +221,7 @@ def _decode_window(
             sums = _prepare(job, out, draft, pictures, config.prepare, missing)
             mask = early.result()
             settled.result()
-            if draft.told["changed_later"]:
+            if draft.facts["changed_later"]:
                 pictures = small_pictures(draft.half, job.lit, cell)
                 mask = view_foreground(pictures.bright, pictures.side, *place)
             if _reaches_beyond(mask, look.window, limit):
@@ -265,8 +265,8 @@ def _prepare(
     sums = prepare_view(
         out, job.camera, job.lit, draft.half, usable, job.session, config, missing, pictures
     )
-    draft.told["changed_later"] = sums.pop("changed")
-    if draft.told["changed_later"]:
+    draft.facts["changed_later"] = sums.pop("changed")
+    if draft.facts["changed_later"]:
         draft.clipped[~usable & (draft.clipped == 0)] = NOT_A_NUMBER
     return sums
 
@@ -275,8 +275,8 @@ def _exposures(factors: Mapping[str, float]) -> str:
     """What was done about unlike exposures, in words."""
     usual = float(np.median(list(factors.values())))
     odd = {n: f / usual for n, f in factors.items() if abs(f / usual - 1) > 1e-4}
-    told = ", ".join(f"{name} times {factor:.4g}" for name, factor in odd.items())
-    return f"unlike exposures in the files, brought to one: {told}"
+    factors_in_words = ", ".join(f"{name} times {factor:.4g}" for name, factor in odd.items())
+    return f"unlike exposures in the files, brought to one: {factors_in_words}"
 
 
 def _reaches_beyond(mask: np.ndarray, window: Window, limit: Window) -> bool:

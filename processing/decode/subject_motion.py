@@ -1,6 +1,6 @@
 """Motion between photographs: complements are moved together until they sum to full.
 
-A photograph and its complement look like each other's negatives, so that neither can be laid upon
+A photograph and its complement resemble each other's negatives, so that neither can be placed on
 the other; but moved rightly the two sum to the photograph under all lights, whatever the face
 [Wilson2010]. Both displacement fields are solved at once: polynomials over the picture, which hold
 a turning head's parallax, from rigid to cubic and from blurred to sharp.
@@ -24,7 +24,7 @@ MOST_CELLS = 15_000
 FARTHEST_MM = 12.0
 """Displacements beyond this are not believed."""
 RIDGE = 1e-4
-"""Share by which each unknown is held where it was: what the pictures say nothing of stays."""
+"""Share by which each unknown is held where it was: what the pictures do not show stays."""
 LIT_SHARE = 0.05
 """A cell is lit above this share of the whole's 95th percentile."""
 HUBER = 2.0
@@ -32,7 +32,7 @@ HUBER = 2.0
 
 @dataclasses.dataclass(frozen=True)
 class Flow:
-    """Where the places of the reference lie in another photograph.
+    """The reference's places in another photograph.
 
     Attributes:
         coefficients: (M, 2) of the monomials in (x, y), for right and down, in pixels.
@@ -96,7 +96,7 @@ def solve_pair(
             be still; nothing finer is solved.
 
     Returns:
-        None where the pictures are too dark, too small or too even to tell.
+        None where the pictures are too dark, too small or too even.
 
     Source: [Wilson2010].
     """
@@ -157,7 +157,7 @@ def warp(images: np.ndarray, rows: dict[int, Flow], usable: np.ndarray) -> None:
 
     Args:
         images: (P, h, w, 3) halves or floats.
-        rows: which of the P, and where the reference's places lie in it.
+        rows: which of the P, and where the reference's places are in it.
         usable: (h, w) bool; a place is not usable any more where one of its photographs is not.
     """
     height, width = usable.shape

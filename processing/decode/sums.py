@@ -1,4 +1,4 @@
-"""What sums of photographs tell: ambient light, flicker, and photographs of another pattern.
+"""What sums of photographs show: ambient light, flicker, and photographs of another pattern.
 
 Light is linear: a gradient and its complement sum to full, less what no lamp made. That holds in
 every pixel, whatever the face, so that a = I_a + I_b - I_full is the ambient light, the same for
@@ -82,7 +82,7 @@ def fit_sums(
         least_flicker: a gain nearer to the others' than this counts as theirs.
 
     Returns:
-        None where too little is lit to tell.
+        None where too little is lit.
     """
     whole = small[pairs[0].whole]
     lit = lit_cells(whole, free)
@@ -125,7 +125,9 @@ def ambient_ratio(
     """(h, w, 3) float32 ambient light as a share of the whole's, smooth over the subject.
 
     Args:
-        small, pairs, free: as in `fit_sums`.
+        small: pattern to (h, w, 3) float32.
+        pairs: as in `fit_sums`.
+        free: (h, w) bool.
         flicker: of it.
         sigma_cells: of the Gaussian that takes noise out.
     """
@@ -156,20 +158,20 @@ def wrong_patterns(
     session: Session,
     camera_id: str,
 ) -> tuple[dict[str, str], dict[str, np.ndarray]]:
-    """Photographs that look like another pattern's, were the head a ball.
+    """Photographs that resemble another pattern's, were the head a ball.
 
-    A head is no ball, so single cells are wrong by a few tenths; which pattern lit it, it tells.
+    A head is no ball, so single cells are wrong by a few tenths; the pattern that lit it is clear.
 
     Args:
         small: pattern to (h, w, 3) small picture.
         whole: the pattern of most light.
-        patterns: those to be told apart.
+        patterns: those to be distinguished.
         free: (h, w) bool.
         session: of the rig and of what was driven.
         camera_id: who photographed.
 
     Returns:
-        Pattern to the one that it looks like; and pattern to (r, c) how far each coarse cell is
+        Pattern to the one that it resembles; and pattern to (r, c) how far each coarse cell is
         from what a ball would show, a share of the whole.
     """
     height, width = free.shape

@@ -17,7 +17,7 @@ from lightstage.formats.mesh import read_obj, read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path, load_template
 from processing.closest import ClosestPoints
-from processing.evaluation.errors import EvaluationError
+from processing.errors import EvaluationError
 from processing.evaluation.maps import DIFFUSE, MapReader, map_errors, samples_of
 from processing.evaluation.meshes import base_mesh_errors, registration_errors, true_skin_points
 from processing.evaluation.texels import atlas_coverage, evaluate_maps, truth_in_atlas
@@ -75,8 +75,8 @@ def evaluate(
 
     Raises:
         EvaluationError: a folder that is missing, truth of another person or expression, nothing
-            to compare, or pictures of different size; the albedo of incident light asked of maps
-            whose report does not tell the factor.
+            to compare, or pictures of different size; the albedo of incident light requested from
+                maps whose report does not have the factor.
         FormatError: a damaged file.
     """
     config = config or EvaluateConfig()
@@ -135,14 +135,14 @@ def evaluate(
             out, found=f"nothing that {truth} also holds", expected="views, meshes or atlas"
         )
     write_json(out / "evaluation.json", {"schema": SCHEMA, **facts})
-    told = out / "report.json"
-    if told.is_file():
-        write_processed_report(out, read_json(told))
+    report = out / "report.json"
+    if report.is_file():
+        write_processed_report(out, read_json(report))
     return facts
 
 
 def headline(facts: Mapping[str, Any]) -> dict[str, float]:
-    """The few figures of `evaluate` that a person looks at first, each with its unit in its name.
+    """The few figures of `evaluate` that a person reads first, each with its unit in its name.
 
     Args:
         facts: as `evaluate` returns.
@@ -197,15 +197,15 @@ def _reader(folder: ProcessedFolder, camera: str, factor: float = 1.0) -> MapRea
 
 
 def _require_same_person(out: Path, truth: Path) -> None:
-    """EvaluationError where two folders are not there, or say that they are of different people."""
+    """EvaluationError where two folders are not there, or name different people."""
     for folder in (out, truth):
         if not folder.is_dir():
             raise EvaluationError(
                 folder, found="no such folder", expected="a processed folder, then its truth"
             )
-    told = [_report(folder) for folder in (out, truth)]
+    reports = [_report(folder) for folder in (out, truth)]
     for field in ("subject", "expression"):
-        ours, true = (report.get(field) for report in told)
+        ours, true = (report.get(field) for report in reports)
         if ours is not None and true is not None and ours != true:
             raise EvaluationError(
                 truth,

@@ -1,7 +1,7 @@
 """Errors of maps at scored places: albedos, normals, pictures.
 
-Only pixels and texels are scored that are skin in the truth and of which the result claims to know
-something (confidence above 0); the share of the skin that is so covered stands beside each error,
+Only pixels and texels are scored that are skin in the truth and that the result claims to know
+(confidence above 0); the share of the skin that is so covered is printed beside each error,
 since a method may not shine by leaving out what is hard.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from lightstage.counting import counted
 from processing.colour import srgb_from_linear
-from processing.evaluation.errors import EvaluationError
+from processing.errors import EvaluationError
 
 DIFFUSE = "diffuse_albedo"
 ALBEDOS = (DIFFUSE, "specular_albedo", "ambient_occlusion")
@@ -108,12 +108,12 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def psnr_db(found: np.ndarray, true: np.ndarray) -> float:
-    """Peak signal-to-noise ratio in decibels for a peak of 1; at most 120."""
+    """Peak signal-to-noise ratio of two (...) arrays in decibels for a peak of 1; at most 120."""
     return -20 * math.log10(max(rms(found - true), 1e-6))
 
 
 def rms(difference: np.ndarray) -> float:
-    """Root of the mean square."""
+    """Root of the mean square of a (...) array."""
     return float(np.sqrt(np.mean(np.square(difference))))
 
 

@@ -9,7 +9,7 @@ from lightstage.formats.mesh import Mesh
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import Template
 from processing.closest import ClosestPoints, weighted_quantile
-from processing.evaluation.errors import EvaluationError
+from processing.errors import EvaluationError
 
 
 def true_skin_points(true: ProcessedFolder, most: int) -> np.ndarray:
@@ -24,7 +24,7 @@ def true_skin_points(true: ProcessedFolder, most: int) -> np.ndarray:
 def base_mesh_errors(
     found: Mesh, true: Mesh, surface_mm: np.ndarray, within_mm: float
 ) -> dict[str, float]:
-    """How far a reconstructed mesh lies from the true one, and how much of the face it has.
+    """How far a reconstructed mesh is from the true one, and how much of the face it has.
 
     Args:
         found: the reconstruction.
@@ -65,10 +65,10 @@ def registration_errors(
     landmarks_mm: np.ndarray,
     template: Template,
 ) -> dict[str, float]:
-    """How far a registered template lies from the person, as a surface and as a correspondence.
+    """How far a registered template is from the person, as a surface and as a correspondence.
 
-    A surface error near zero with landmarks millimetres away is a failed registration that looks
-    perfect, so both are said.
+    A surface error near zero with landmarks millimetres away is a failed registration that seems
+    perfect, so both are reported.
 
     Args:
         found: the registered template.

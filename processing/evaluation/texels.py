@@ -12,7 +12,7 @@ from lightstage.formats.exr import read_exr
 from lightstage.formats.mesh import read_obj
 from lightstage.formats.processed import ProcessedFolder
 from processing.closest import ClosestPoints, sample_texture
-from processing.evaluation.errors import EvaluationError
+from processing.errors import EvaluationError
 from processing.evaluation.maps import ALBEDOS, DIFFUSE, NORMALS, map_errors, samples_of
 
 
@@ -46,7 +46,7 @@ def truth_in_atlas(out: Path, truth: Path) -> dict[str, np.ndarray]:
 
     Returns:
         The truth's map names, (rows, columns[, 3]) float32, in world axes; `confidence` is 1 where
-        the texel is covered and lies on true skin; `position` is the true point; `distance_mm` how
+        the texel is covered and is on true skin; `position` is the true point; `distance_mm` how
         far OUT's point was from it. Zero where the atlas is not covered.
     """
     found, true = ProcessedFolder(out), ProcessedFolder(truth)
@@ -90,7 +90,8 @@ def evaluate_maps(
 
     Args:
         predicted: folder of NAME.exr.
-        truth: as `truth_in_atlas` gives; the places where its confidence is above 0 are scored.
+        truth: (rows, columns[, 3]) maps as `truth_in_atlas` gives; the places where its
+            confidence is above 0 are scored.
         albedo_factor: the folder's diffuse albedo is multiplied by it.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Folders of decoded photographs: their arrays while they are written, and what is told of them."""
+"""Folders of decoded photographs: their arrays while they are written, and facts about them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RED, GREEN, BLUE, NOT_A_NUMBER = 1, 2, 4, 8
 
 
 def frames_path(out: Path, camera_id: str) -> Path:
-    """The folder in which a camera's decoded photographs lie in a processed folder."""
+    """The folder of a camera's decoded photographs in a processed folder."""
     return out / "work" / "frames" / camera_id
 
 
@@ -65,14 +65,14 @@ class Draft:
         half: (P, h, w, 3) float16, zeros at first.
         clipped: (h, w) uint8, zeros at first.
         file: descriptor of the file that `half` maps.
-        told: JSON-ready, kept beside the arrays (`read_told`).
+        facts: JSON-ready, kept beside the arrays (`read_facts`).
         marks: pattern to its own clipped pixels, for the next run that decodes only some.
     """
 
     half: np.memmap
     clipped: np.memmap
     file: int
-    told: dict[str, Any] = dataclasses.field(default_factory=dict)
+    facts: dict[str, Any] = dataclasses.field(default_factory=dict)
     marks: dict[str, Marks] = dataclasses.field(default_factory=dict)
 
     def write_rows(self, k: int, top: int, rows: np.ndarray) -> None:
@@ -126,11 +126,11 @@ def new_frames(
             "scale": scale,
             "window": dataclasses.asdict(window),
             "shape": list(shape),
-            "told": draft.told,
+            "told": draft.facts,
         }
         marks = {
             f"{kind} {name}": getattr(own, kind)
-            # Threads end in any order: the file's bytes must not tell it.
+            # Threads end in any order: the file's bytes must not depend on it.
             for name, own in sorted(draft.marks.items())
             for kind in ("places", "bits")
         }
@@ -154,7 +154,7 @@ def _mapped(path: Path, kind: type, shape: tuple[int, ...]) -> np.memmap:
     return array
 
 
-def read_told(folder: Path, camera_id: str) -> dict[str, Any]:
+def read_facts(folder: Path, camera_id: str) -> dict[str, Any]:
     """What is written of a camera's frames beside their arrays; FormatError where missing."""
     if not (folder / FACTS).is_file():
         raise FormatError(

@@ -19,7 +19,7 @@ from processing.frames.drafts import (
     NOT_A_NUMBER,
     frames_path,
     new_frames,
-    read_told,
+    read_facts,
 )
 from processing.frames.window import Window, whole
 
@@ -37,7 +37,7 @@ class Frames:
         half: (P, h, w, 3) float16 of the window, finite; times `scale` it is linear, a white
             diffuser at the origin facing +z lit by `full` reads 1.
         scale: a power of two.
-        window: where in the picture `half` lies.
+        window: where in the picture `half` is.
         shape: rows and columns of the whole picture.
         clipped: (h, w) uint8 of the window: bits RED, GREEN, BLUE where any pattern's channel is
             clipped, NOT_A_NUMBER where any is none or is not to be used for another reason.
@@ -149,7 +149,7 @@ def power_of_two(peak: float) -> float:
 
 
 def foreground_path(out: Path, camera_id: str) -> Path:
-    """Where the mask that the photographs alone give lies: 255 where something was lit."""
+    """The file of the mask that the photographs alone give: 255 where something was lit."""
     return out / "work" / "foreground" / f"{camera_id}.png"
 
 
@@ -173,7 +173,7 @@ def read_frames(out: Path, camera_id: str) -> Frames:
         FormatError: missing or damaged.
     """
     folder = frames_path(out, camera_id)
-    value = read_told(folder, camera_id)
+    value = read_facts(folder, camera_id)
     try:
         half = np.load(folder / HALVES, mmap_mode="r", allow_pickle=False)
         clipped = np.load(folder / CLIPPED, mmap_mode="r", allow_pickle=False)

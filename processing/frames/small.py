@@ -6,13 +6,14 @@ import dataclasses
 import threading
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 from numba import njit
 
 from lightstage.formats.half import as_float
 
 BRIGHT_PX = 2_000_000
-"""What was lit is looked for in about this many pixels, and in means of squares where there are
+"""What was lit is searched for in about this many pixels, and in means of squares where there are
 more."""
 
 
@@ -122,3 +123,40 @@ def _shrink(
                 cells[down, across, 0] += red * part
                 cells[down, across, 1] += green * part
                 cells[down, across, 2] += blue * part
+
+
+def shrunk(picture: np.ndarray, cell: int) -> np.ndarray:
+    """Means over square cells; a cell with a value that is not finite becomes 0.
+
+    Args:
+        picture: (h, w, 3), halves or other floats.
+        cell: pixels a side; rows and columns that fill no cell are dropped.
+
+    Returns:
+        (h // cell, w // cell, 3) float32, finite.
+    """
+    height, width = picture.shape[0] // cell, picture.shape[1] // cell
+    part = picture[: height * cell, : width * cell]
+    if part.dtype == np.float16:
+        small = cell_means(part, cell)
+    else:
+        small = np.asarray(part, np.float32)
+        if cell > 1:
+            small = cv2.resize(small, (width, height), interpolation=cv2.INTER_AREA)
+    return np.nan_to_num(small, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def free_cells(usable: np.ndarray, cell: int) -> np.ndarray:
+    """(h // cell, w // cell) bool: cells all of whose pixels are usable.
+
+    Args:
+        usable: (h, w) bool.
+        cell: pixels a side.
+    """
+    height, width = usable.shape[0] // cell, usable.shape[1] // cell
+    out = np.ones((height, width), bool)
+    rows, columns = np.divmod(np.flatnonzero(~usable), usable.shape[1])
+    rows, columns = rows // cell, columns // cell
+    inside = (rows < height) & (columns < width)
+    out[rows[inside], columns[inside]] = False
+    return out

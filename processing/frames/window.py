@@ -42,7 +42,7 @@ class Window:
         return self.height <= 0 or self.width <= 0
 
     def inside(self, shape: tuple[int, int]) -> bool:
-        """Whether it lies wholly in a picture of (rows, columns)."""
+        """Whether it is wholly in a picture of (rows, columns)."""
         return (
             self.top >= 0
             and self.left >= 0
@@ -77,7 +77,7 @@ def whole(shape: tuple[int, int]) -> Window:
 
 
 def box_of(mask: np.ndarray) -> Window:
-    """The smallest window that holds a mask's true pixels; empty where there are none."""
+    """The smallest window with all true pixels of a (h, w) mask; empty where there are none."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return Window(0, 0, 0, 0)

@@ -30,10 +30,16 @@ class Facets:
         tails: GGX in place of Beckmann's distribution.
         stretch: m_u is m times it, m_v is m over it; u is the horizontal tangent (of a world
             whose y is up), v goes up the surface. 1 is a round lobe.
+        rises: they mirror more light toward grazing angles, by Fresnel's equations; else the same
+            share at all angles.
+        covers: the diffuse layer lies below them, so that they take light on its way in and out;
+            else all light enters, as in programs that blend a mirror with a Lambertian surface.
     """
 
     tails: bool = False
     stretch: float = 1.0
+    rises: bool = True
+    covers: bool = True
 
     @property
     def shape(self) -> np.ndarray:
@@ -44,9 +50,11 @@ class Facets:
     def name(self) -> str:
         """For a report."""
         name = "GGX" if self.tails else "Beckmann"
-        if self.stretch == 1:
-            return name
-        return f"{name}, {self.stretch**2:.3g} times as wide sideways as upward"
+        if self.stretch != 1:
+            name += f", {self.stretch**2:.3g} times as wide sideways as upward"
+        if not self.rises:
+            name += ", the same share at all angles"
+        return name if self.covers else f"{name}, over skin that all light enters"
 
 
 BECKMANN = Facets()

@@ -9,11 +9,11 @@ def fresnel(f0: np.ndarray | float, cosine: np.ndarray) -> np.ndarray:
     """Exact unpolarised reflectance of a dielectric.
 
     Args:
-        f0: reflectance at normal incidence, 0..1, broadcast against `cosine`.
-        cosine: of the angle of incidence, 0..1.
+        f0: (...) reflectance at normal incidence, 0..1, broadcast against `cosine`.
+        cosine: (...) of the angle of incidence, 0..1.
 
     Returns:
-        Reflectance, 0..1.
+        (...) reflectance, 0..1.
 
     Source: [BornWolf1999].
     """

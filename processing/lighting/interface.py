@@ -61,15 +61,18 @@ BARE = Interface(
 def skin_interface(facets: Facets = BECKMANN) -> Interface:
     """T of n = 1.4, by the sum of the lobe over directions of light.
 
-    A stretched lobe lets through what a round one of the same m does.
+    A stretched lobe lets through what a round one of the same m does. Facets that cover nothing
+    let all light through.
 
     Source: [Walter2007] for the lobe.
     """
+    if not facets.covers:
+        return dataclasses.replace(BARE, facets=facets)
+    if facets.stretch != 1 or not facets.rises:
+        plain = skin_interface(Facets(facets.tails))
+        return dataclasses.replace(plain, facets=facets)
     rows = np.linspace(*ROUGHNESS_RANGE, ROWS)
     cosines = np.linspace(0, 1, COSINES + 1)
-    if facets.stretch != 1:
-        round_one = skin_interface(dataclasses.replace(facets, stretch=1.0))
-        return dataclasses.replace(round_one, facets=facets)
     table = np.stack([[1 - mirrored(max(c, 0.01), m, facets.tails) for c in cosines] for m in rows])
     mean = np.trapezoid(2 * cosines * table, cosines, axis=1)
     return Interface(table.astype(np.float32), mean.astype(np.float32), facets)
@@ -101,7 +104,7 @@ def mirrored(cosine: float, roughness: float, tails: bool = False, steps: int = 
 
 
 def smith(cosine: np.ndarray, roughness: float, tails: bool = False) -> np.ndarray:
-    """Smith's Lambda, exact for GGX, the rational fit for Beckmann."""
+    """Smith's Lambda at (...) cosines, exact for GGX, the rational fit for Beckmann."""
     sine = np.sqrt(np.maximum(1 - cosine**2, 1e-12))
     if tails:
         return np.asarray((np.sqrt(1 + (roughness * sine / cosine) ** 2) - 1) / 2)
@@ -121,7 +124,7 @@ def row_of(roughness: float, rows: int) -> tuple[int, float]:
 
 @njit(cache=True, inline="always")
 def let_through(table: np.ndarray, row: int, part: float, cosine: float) -> float:
-    """T at a place of the table."""
+    """T at a place of the (rows, columns) table."""
     steps = table.shape[1] - 1
     place = min(max(cosine, 0.0), 1.0) * steps
     column = min(steps - 1, int(place))

@@ -1,4 +1,4 @@
-"""The lamps that processing reckons with: as measured where a session says so, else the rig's."""
+"""The lamps that processing uses: as measured where a session has that, else the rig's."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def session_lamps(session: Session) -> Lamps:
 
 
 def nominal_lamps(rig: Rig, full: np.ndarray | None = None) -> Lamps:
-    """The lamps as a rig says, on the scale of formats.environment.stage_lights.
+    """The lamps as in a rig, on the scale of formats.environment.stage_lights.
 
     Args:
         rig: the lights.
@@ -86,7 +86,7 @@ def nominal_lamps(rig: Rig, full: np.ndarray | None = None) -> Lamps:
 
 
 def measured_rig(rig: Rig, position_mm: np.ndarray, rgb_gain: np.ndarray) -> Rig:
-    """The rig with its lights at other places, of other gains."""
+    """The rig with its lamps at other places (L, 3), of other gains (L, 3)."""
 
     def moved(light: Light, place: np.ndarray, gain: np.ndarray) -> Light:
         x, y, z = (float(value) for value in place)

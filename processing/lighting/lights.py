@@ -112,7 +112,7 @@ class PatternLights:
 
 @dataclasses.dataclass(frozen=True)
 class Shadows:
-    """Which lights n points see, interpolated from the vertices of the triangles they lie on.
+    """Which lights n points see, interpolated from the vertices of the triangles they are on.
 
     Attributes:
         corners: (n, 3) int32 vertices of each point's triangle.
@@ -125,7 +125,7 @@ class Shadows:
     visible: np.ndarray
 
     def of(self, points: np.ndarray) -> Shadows:
-        """The shadows of some of the points, by index or mask."""
+        """The shadows of some of the points, by (k,) indices or a (n,) mask."""
         return Shadows(self.corners[points], self.weights[points], self.visible)
 
 
@@ -155,13 +155,13 @@ def lights_of(lamps: Lamps, patterns: tuple[str, ...], driven: np.ndarray) -> Pa
 
     Args:
         lamps: L of them; those that give no light, or none in these patterns, are left out.
-        patterns: P names; an `@` in one tells its bank.
+        patterns: P names; an `@` in one names its bank.
         driven: (P, L) levels.
 
     Raises:
         ProcessingError: patterns polarised in a way that is not known.
     """
-    # Emitters of another colour, dark in every pattern, say nothing of these patterns' colour.
+    # Emitters of another colour, dark in every pattern, do not affect these patterns' colour.
     lit = lamps.rgb.mean(axis=1) > 0
     used = lit & (np.asarray(driven).max(axis=0) > 0)
     lit = used if used.any() else lit
@@ -344,7 +344,14 @@ def compiled(lights: PatternLights, shadows: Shadows) -> SeenLights:
 
 @njit(cache=True, inline="always")
 def seen_share(corners: np.ndarray, weights: np.ndarray, visible: np.ndarray, light: int) -> float:
-    """Share of a light that a point sees, interpolated from its triangle's corners."""
+    """Share of a light that a point sees, interpolated from its triangle's corners.
+
+    Args:
+        corners: (3,) vertices.
+        weights: (3,) of them.
+        visible: (V, L) uint8.
+        light: its column.
+    """
     return (
         weights[0] * visible[corners[0], light]
         + weights[1] * visible[corners[1], light]

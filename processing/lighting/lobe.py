@@ -34,8 +34,14 @@ GRAZING = 0.05
 
 
 @functools.cache
-def fresnel_table() -> np.ndarray:
-    """(FRESNEL_STEPS + 1,) skin's F over its F at normal incidence, for cosines 0, 1/steps .. 1."""
+def fresnel_table(rises: bool = True) -> np.ndarray:
+    """(FRESNEL_STEPS + 1,) skin's F over its F at normal incidence, for cosines 0, 1/steps .. 1.
+
+    Args:
+        rises: of `Facets`; 1 everywhere where they do not.
+    """
+    if not rises:
+        return np.ones(FRESNEL_STEPS + 1)
     return fresnel(SKIN_F0, np.linspace(0, 1, FRESNEL_STEPS + 1)) / SKIN_F0
 
 
@@ -73,7 +79,7 @@ def transport(
         np.ascontiguousarray(views, np.float32),
         np.full(count, roughness, np.float32),
         compiled(lights, shadows),
-        fresnel_table().astype(np.float32),
+        fresnel_table(interface.facets.rises).astype(np.float32),
         interface.table,
         interface.mean,
         interface.facets.shape,

@@ -155,7 +155,7 @@ def _share(s: np.ndarray, field: np.ndarray) -> np.ndarray:
 
 
 def _passed(across: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Transmittance of a field of which the share `across` lies along s, over the mean of both."""
+    """Transmittance of a field of which the share `across` is along s, over the mean of both."""
     inside = np.sqrt(1 - (1 - cosine**2) / INDEX**2)
     t_s = 1 - ((cosine - INDEX * inside) / (cosine + INDEX * inside)) ** 2
     t_p = 1 - ((INDEX * cosine - inside) / (INDEX * cosine + inside)) ** 2

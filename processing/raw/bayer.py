@@ -1,6 +1,6 @@
 """The demosaic's rows: compiled, one thread, buffers of eight rows each that stay in the cache.
 
-Every loop runs over one row without a branch, so that it is vectorised. Row r of a buffer lies at
+Every loop runs over one row without a branch, so that it is vectorised. Row r of a buffer is at
 r modulo eight.
 """
 
@@ -42,7 +42,10 @@ def develop(
     out: np.ndarray,
     clipped: np.ndarray,
 ) -> None:
-    """See `develop_mosaic`; `window` is top, left, height, width; `out` holds halves' bits."""
+    """See `develop_mosaic` for shapes; `window` is top, left, height, width.
+
+    `out` is (h, w, 3) uint16, the halves' bits; `colours` .. `coefficients` are Development's.
+    """
     top, left, height, width = window
     for start in range(0, width, STRIP_PX):
         columns = min(STRIP_PX, width - start)

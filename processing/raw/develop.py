@@ -9,11 +9,11 @@ import numpy as np
 
 from lightstage.formats.half import LARGEST
 from lightstage.formats.orientation import UNTURNED, Orientation
-from processing.calibration.colour.flat_file import FlatField
 from processing.colour import ColourCorrection
 from processing.frames.drafts import NOT_A_NUMBER
 from processing.frames.window import Window
 from processing.raw.bayer import CLIP_REACH, REACH, SIDE
+from processing.raw.flat_file import FlatField
 from processing.raw.mosaic import develop_mosaic, development
 from processing.raw.raw_file import RawFile
 
@@ -162,7 +162,7 @@ def store(
     """Write (h, w, 3) float32 less `ambient` as halves; what is no number or too large is marked.
 
     Args:
-        rgb: on the half floats' scale.
+        rgb: (h, w, 3) float32 on the half floats' scale.
         ambient: the same shape, or None.
         out: (h, w, 3) float16, overwritten, finite.
         clipped: (h, w) uint8, bit `NOT_A_NUMBER` is added.

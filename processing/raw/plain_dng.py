@@ -1,7 +1,7 @@
 """DNG files that hold their counts as they are: mapped from the disk instead of unpacked.
 
-Only the pages of the rows that are developed are read. What a file may say besides is listed here;
-one that says anything else of its counts (compression, a curve, corrections) is LibRaw's.
+Only the pages of the rows that are developed are read. Other tags that a file may have are listed
+here; a file that has anything else of its counts (compression, a curve, corrections) is LibRaw's.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _PLAIN: dict[int, tuple[int, ...]] = {
 }
 _PLAIN |= {PATTERN_SIZE: (2, 2)}
 """Tags and the one value that each must have."""
-_IF_SAID: dict[int, tuple[int, ...]] = {284: (1,), PLANES: (0, 1, 2), LAYOUT: (1,)}
+_IF_PRESENT: dict[int, tuple[int, ...]] = {284: (1,), PLANES: (0, 1, 2), LAYOUT: (1,)}
 _DNG = {50706, 50707, 50708, PLANES, LAYOUT, BLACK_REPEATS, BLACK, WHITE, NEUTRAL}
 _DNG |= {50721, 50722, 50723, 50724, 50727, 50730, 50731, 50732, 50734, 50735, 50778, 50779}
 _DNG |= {50781, 50931, 50932, 50933, 50936, 50964, 50965}
@@ -80,10 +80,10 @@ def map_plain_dng(path: Path) -> PlainDng | None:
 
 
 def _plain(directory: Directory) -> bool:
-    """Whether a picture is one of counts as they are, and nothing unknown is said of them."""
+    """Whether a picture holds plain counts, and has no unknown tag about them."""
     tags = directory.tags
     usual = all(tags.get(tag) == value for tag, value in _PLAIN.items())
-    usual &= all(tags.get(tag, value) == value for tag, value in _IF_SAID.items())
+    usual &= all(tags.get(tag, value) == value for tag, value in _IF_PRESENT.items())
     known = all(tag in _DNG for tag in tags if tag >= 50706)
     return usual and known and 50706 in tags and _number(directory, ORIENTATION, 1) in OF_TIFF
 
@@ -125,7 +125,7 @@ def _levels(directory: Directory) -> tuple[np.ndarray | None, float]:
 
 
 def _gains(directory: Directory) -> np.ndarray | None:
-    """(3,) that turn the camera's own white grey; None where they are not told so."""
+    """(3,) that turn the camera's own white grey; None where the file does not have it so."""
     value = directory.tags.get(NEUTRAL)
     if value is None or isinstance(value, bytes) or len(value) != 3 or min(value) <= 0:
         return None

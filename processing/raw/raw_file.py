@@ -1,4 +1,4 @@
-"""Opening a camera's file: counts are mapped where they lie as they are, else LibRaw unpacks them.
+"""Opening a camera's file: plain counts are mapped in place, else LibRaw unpacks them.
 
 A Bayer mosaic keeps its counts. What has no 2 x 2 mosaic comes as three colours of each pixel: a
 linear DNG's own, a Foveon's own, and for X-Trans LibRaw's demosaic without colour, curve or white
@@ -67,7 +67,7 @@ class RawFile:
         return max(self.white - float(self.black.max()), 1.0)
 
     def close(self) -> None:
-        """Give LibRaw's memory back; `counts` is gone then."""
+        """Give LibRaw's memory back; `counts` is freed then."""
         self.counts = np.zeros((0, 0), np.uint16)
         if self.handle is not None:
             self.handle.close()
@@ -111,7 +111,7 @@ def unpack_raw(path: Path) -> RawFile:
 
 
 def read_exposure(path: Path) -> float | None:
-    """Seconds * ISO / f-number^2 from a file's header; None where it does not tell them all.
+    """Seconds * ISO / f-number^2 from a file's header; None where one of them is missing.
 
     Raises:
         FormatError: it cannot be read.

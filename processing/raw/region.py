@@ -1,4 +1,4 @@
-"""Where the face is, from a coarse look at a photograph before anything is developed."""
+"""Where the face is, by a coarse preview of a photograph before anything is developed."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def find_window(look: np.ndarray, side: int, shape: tuple[int, int], share: floa
         share: see `masks.foreground`; half of it is used here.
 
     Returns:
-        A window with a margin; the whole picture where nothing is lit or it is too small to tell.
+        A window with a margin; the whole picture where nothing is lit or it is too small.
     """
     if min(look.shape) < 32:
         return whole(shape)
@@ -76,7 +76,7 @@ def mesh_window(vertices: np.ndarray, camera: Camera, margin_mm: float) -> Windo
 
     Args:
         vertices: (n, 3) world, mm.
-        camera: which looks.
+        camera: which sees it.
         margin_mm: kept around it.
 
     Returns:

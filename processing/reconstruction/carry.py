@@ -2,7 +2,7 @@
 
 On the sides of the jaw and behind the ears a second camera grazes the skin or does not see it. One
 camera's own match there is a guess, and its normals are known. So from pixel to pixel, outward from
-the confirmed ones, the normals tell where the surface goes on; a matched depth that lies there is
+the confirmed ones, the normals show where the surface continues; a matched depth on it is
 taken, as in the growing of patches [Furukawa2010], and where there is none the surface is carried
 on by the normals alone, a little way.
 """
@@ -27,7 +27,7 @@ BIAS_MM = 2.0
 DOUBT = 0.05
 """Least slope by which normals are taken to be off, 3 degrees."""
 NEAR_MM = 3.0
-"""Two views' points that lie within this along a line of sight are of one surface."""
+"""Two views' points that are within this along a line of sight are of one surface."""
 
 
 def carried(
@@ -42,9 +42,10 @@ def carried(
 
     Args:
         level: the views.
-        depths, costs: of `match_views`.
+        depths: of each view (h, w) inverse depth, of `match_views`.
+        costs: of each view (h, w), likewise.
         confirmed: (views, h, w, 3) float32 mm, NaN where no other view agrees.
-        slopes: of each view, of `slopes.plane_slopes`.
+        slopes: of each view (h, w, 2), of `slopes.plane_slopes`.
         config: the stage's settings.
 
     Returns:
@@ -74,14 +75,14 @@ def carried(
     for _ in over_views(grown, views, at_once):
         pass
     projections = level.projections()
-    # A view that shows nothing at all says nothing about where the head is.
+    # A view that shows nothing at all does not show where the head is.
     masks = level.masks | ~level.masks.any(axis=(1, 2), keepdims=True)
     kept = np.zeros(kinds.shape, bool)
 
-    def laid(index: int) -> None:
-        laid_over(index, points, kinds, cosines, masks, projections, NEAR_MM, kept[index])
+    def placed_view(index: int) -> None:
+        placed_over(index, points, kinds, cosines, masks, projections, NEAR_MM, kept[index])
 
-    for _ in over_views(laid, views, at_once):
+    for _ in over_views(placed_view, views, at_once):
         pass
     points[~kept], kinds[~kept] = np.nan, NONE
     return points, kinds
@@ -126,7 +127,7 @@ def _cosines(normals: np.ndarray, lens: np.ndarray, pose: np.ndarray) -> np.ndar
 
 
 @njit(cache=True, parallel=True)
-def laid_over(
+def placed_over(
     view: int,
     positions: np.ndarray,
     kinds: np.ndarray,
@@ -139,11 +140,11 @@ def laid_over(
     """Which of a view's grown points no other view contradicts, or has itself.
 
     A point is dropped that another camera would see before its background or before a confirmed
-    point; where a confirmed point of another view lies; and where another view's grown point lies
+    point; where a confirmed point of another view is; and where another view's grown point is
     that is seen more squarely.
 
     Args:
-        view: whose points are asked.
+        view: whose points are tested.
         positions: (views, h, w, 3) float32 mm.
         kinds: (views, h, w) int8.
         cosines: (views, h, w) of the normals to the lines of sight.

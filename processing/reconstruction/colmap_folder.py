@@ -44,7 +44,7 @@ def write_colmap(
         names: of the views.
         level: the finest that was matched.
         depths: of each view (h, w) inverse depth, 0 where there is none.
-        sources: of each view the views it is matched with.
+        sources: of each view (s,) the views it is matched with.
 
     Raises:
         FormatError: `folder` is something else.

@@ -59,7 +59,7 @@ def smooth_normals(points: np.ndarray, guide: np.ndarray, radius: int, reach: fl
         points: (h, w, 3) float32 mm, NaN where there is none.
         guide: (h, w, 3) float32 photometric normals, unit, outward.
         radius: of the neighbourhood, px.
-        reach: a neighbour further off the tangent plane than this lies on another surface, mm.
+        reach: a neighbour further off the tangent plane than this is on another surface, mm.
 
     Returns:
         (h, w, 3) float32 unit normals, NaN where there is no point.
@@ -125,8 +125,8 @@ def merge_view(
 ) -> None:
     """Compare a view's points with all other views' surfaces; move them to the weighted mean.
 
-    Two views agree where the other's surface lies within `agree_mm` along the normal. A point that
-    stands more than `in_front_mm` before what another view sees contradicts that view.
+    Two views agree where the other's surface is within `agree_mm` along the normal. A point that
+    is more than `in_front_mm` before what another view sees contradicts that view.
 
     Args:
         reference: index of the view.
@@ -186,7 +186,8 @@ def consistent_points(
 
     Args:
         level: the finest level that was matched.
-        depths, costs: of `match_views`.
+        depths: of each view (h, w) inverse depth, of `match_views`.
+        costs: of each view (h, w), likewise.
         config: the stage's settings.
     """
     views = range(len(depths))
@@ -233,7 +234,7 @@ def consistent_points(
 def _oriented(
     level: Level, index: int, depth: np.ndarray, cost: np.ndarray, config: ReconstructConfig
 ) -> Oriented:
-    """Points of one view's depth with normals and trust, before other views are asked."""
+    """Points of one view's depth with normals and trust, before other views are compared."""
     kept = np.where(cost < config.max_cost, depth, 0)
     lens, pose = level.lenses[index], level.poses[index]
     grid = depth_to_points(kept, lens, pose)

@@ -1,6 +1,6 @@
-"""The fused mesh made finer: split, laid onto the points again, and lifted to their normals.
+"""The fused mesh made finer: split, fitted to the points again, and lifted to their normals.
 
-Points lie half a millimetre apart, the fused surface's vertices more than one: relief of two or
+Points are half a millimetre apart, the fused surface's vertices more than one: relief of two or
 three millimetres, which the points' normals have, is lost between them. After [Nehab2005], on the
 mesh: positions stay near the points' mean, and the steps along edges follow the points' normals.
 """

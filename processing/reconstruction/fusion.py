@@ -15,7 +15,7 @@ from processing.reconstruction.consistency import Points
 from processing.reconstruction.settle import settled
 
 SOME = 4
-"""Of so many points one is asked which part of a mesh rests on one view."""
+"""One of so many points is tested for the part of a mesh that rests on one view."""
 MIN_POINTS = 500
 """Fewer points make no surface."""
 
@@ -41,7 +41,7 @@ def fuse(points: Points, config: ReconstructConfig) -> Mesh:
         config: cell width and trimming distance.
 
     Returns:
-        One connected mesh, oriented outward; holes where no point lies within `trim_mm` are kept.
+        One connected mesh, oriented outward; holes where no point is within `trim_mm` are kept.
 
     Raises:
         ReconstructionError: too few points.
@@ -76,7 +76,7 @@ def fuse(points: Points, config: ReconstructConfig) -> Mesh:
 
 
 def largest_component(triangles: np.ndarray, vertices: int) -> np.ndarray:
-    """The triangles of the part, connected through shared vertices, that has most of them."""
+    """The (t, 3) triangles of the part, connected by shared vertices, that has most of them."""
     if not len(triangles):
         raise ReconstructionError(
             "fusion", found="a surface far from every point", expected="a mesh"
@@ -86,7 +86,7 @@ def largest_component(triangles: np.ndarray, vertices: int) -> np.ndarray:
 
 
 def compact(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
-    """A mesh without the vertices that no triangle uses."""
+    """A mesh of (n, 3) vertices and (t, 3) triangles without vertices that no triangle uses."""
     used, faces = np.unique(triangles, return_inverse=True)
     return Mesh(vertices[used], faces.reshape(-1, 3).astype(np.int32))
 
@@ -112,7 +112,7 @@ def alone_share(mesh: Mesh, points: Points) -> float:
 
     Args:
         mesh: fused from the points.
-        points: of which every SOME-th is asked.
+        points: of which every SOME-th is tested.
     """
     from scipy.spatial import cKDTree
 

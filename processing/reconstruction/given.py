@@ -1,6 +1,6 @@
 """A user's own mesh in place of a reconstructed one, and meshes of what else casts shadows.
 
-Neither is moved: both must lie where the photographs show them. That is held against points that
+Neither is moved: both must be where the photographs show them. That is compared with points that
 the photographs alone gave, features matched between views.
 """
 
@@ -24,24 +24,24 @@ from processing.reconstruction.config import ReconstructConfig
 from processing.units import MM, SMALLEST_MM, largest_side, likely_unit
 
 FEWEST_POINTS = 20
-"""Fewer matched points do not tell where a head is."""
+"""Fewer matched points do not show where a head is."""
 FARTHEST_MM = 3.0
 """Median distance of matched points to a mesh that shows the same head; those of the scanned head
-lie within .3."""
+are within .3."""
 LOOK_PX = 20_000
-"""About so many pixels of each view tell which way faces look, and what an occluder hides."""
+"""About so many pixels of each view decide which way faces point, and what an occluder hides."""
 MOST_HIDDEN = 0.5
 """Share of the skin that occluders may hide from the cameras."""
 FIT_ROUNDS = 60
 FIT_SHARE = 0.8
-"""Nearest points by which a fit is sought; the others may lie where the mesh has nothing."""
+"""Nearest points by which a fit is sought; the others may be where the mesh has nothing."""
 
 
 class Given(NamedTuple):
     """A mesh as it is used.
 
     Attributes:
-        mesh: mm, world, triangles; faces look outward.
+        mesh: mm, world, triangles; faces point outward.
         facts: for the report, JSON-ready.
         warnings: what the user should know.
     """
@@ -78,13 +78,13 @@ def given_mesh(path: Path, cameras: Sequence[Camera], points_mm: np.ndarray) -> 
     warnings = []
     if _inside_out(path, mesh, cameras):
         mesh = dataclasses.replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, ::-1]))
-        warnings.append(f"the faces of {path.name} looked inward and were turned")
+        warnings.append(f"the faces of {path.name} pointed inward and were turned")
     facts: dict[str, Any] = {"normals": "none were needed: the mesh was given"}
     facts["given_mesh"] = path.name
     if len(points_mm) < FEWEST_POINTS:
         found = counted(len(points_mm), "point")
         warnings.append(
-            f"whether {path.name} lies where the photographs show the head could not be checked: "
+            f"whether {path.name} is where the photographs show the head could not be checked: "
             f"{found} matched between them, {FEWEST_POINTS} needed"
         )
         return Given(mesh, facts, warnings)
@@ -129,7 +129,7 @@ def facts_of_occluders(
             path,
             found=f"a mesh that hides {hidden:.0%} of the skin from the cameras",
             expected=f"at most {MOST_HIDDEN:.0%}: what is not skin",
-            hint="Cut the skin out of it; it lies in base_mesh.ply.",
+            hint="Cut the skin out of it; it is in base_mesh.ply.",
         )
     return {"occluders": path.name, "occluders_hide_share": round(hidden, 4)}
 
@@ -181,7 +181,7 @@ def _inside_out(path: Path, mesh: Mesh, cameras: Sequence[Camera]) -> bool:
             path,
             found="a mesh that no camera of the rig sees",
             expected="this head as it sat, mm, in the rig's axes",
-            hint="Does it lie in its scanner's own axes? Bring it to the rig's first.",
+            hint="Is it in its scanner's own axes? Bring it to the rig's first.",
         )
     return back > front
 

@@ -51,7 +51,7 @@ def grow(
         doubt: (h, w) by how much the slopes may be off.
         cosine: (h, w) of the normal to the line of sight, 0 where the surface may not go.
         agree_mm: a match agrees with the surface within this along the normal.
-        carry_mm: without matches the surface goes on until it may be off by this.
+        carry_mm: without matches the surface continues until it may be off by this.
         jump_mm: see JUMP_MM.
     """
     depth = np.array(confirmed, np.float64)
@@ -71,7 +71,7 @@ def grow(
         for layer, values in ((depth, found), (kind, taken), (risk, far)):
             layer[at] = values[: len(left)][new]
         left = left[~new]
-        # Where no match goes on, normals do for one ring; then matches are asked again.
+        # Where no match continues it, normals do for one ring; then matches are tried again.
         by_match = bool(new.any())
     return Grown(depth, kind, risk)
 

@@ -25,13 +25,13 @@ ROWS = 800
 MARGIN_PX = 1
 """So many pixels of these beside the skin are left out: edges show both."""
 LEAST_SHARE = 0.02
-"""Share of the foreground that no skin covers, below which nothing is looked for."""
+"""Share of the foreground that no skin covers, below which nothing is searched."""
 CELL, AGREE, REACH = 2.5, 5.0, 6.0
 """Factors on the skin's cells, on how well views agree, and on how far from its points the surface
-reaches: smooth cloth tells little, and holes let light through. Of a grey collar's front 95 % were
-found within 3 mm so, 88 % with the skin's own reach; a fortieth lay off by more than 4 mm."""
+reaches: smooth cloth has few matches, and holes let light through. Of a grey collar's front 95 %
+were found within 3 mm so, 88 % with the skin's own reach; a fortieth was off by more than 4 mm."""
 OFF_SKIN_MM = 2.0
-"""What lies nearer to the skin's mesh would shadow its own surface."""
+"""What is nearer to the skin's mesh would shadow its own surface."""
 LEAST_CM2 = 10.0
 """Smaller pieces are matches that went wrong."""
 
@@ -40,11 +40,11 @@ Reconstruct = Callable[[Sequence[View], ReconstructConfig], Mesh]
 
 
 OthersBeside = Callable[[Mesh], Mesh | None]
-"""Tells what else casts shadows beside a mesh of the skin; None for nothing."""
+"""Finds what else casts shadows beside a mesh of the skin; None for nothing."""
 
 
 def nothing_beside(_: Mesh) -> None:
-    """For where nothing is looked for."""
+    """For runs that search for nothing."""
 
 
 def found_occluders(
@@ -104,7 +104,7 @@ def _covered(camera: Camera, rays: MeshRays) -> np.ndarray:
 
 
 def apart(mesh: Mesh, skin: Mesh) -> Mesh | None:
-    """The pieces of a mesh that lie off the skin and are large enough; None where none is."""
+    """The pieces of a mesh that are off the skin and are large enough; None where none is."""
     closest = ClosestPoints(skin.vertices, skin.triangles())
     off = closest.query(mesh.vertices).distance_mm > OFF_SKIN_MM
     faces = mesh.faces[off[mesh.faces].all(axis=1)]

@@ -1,8 +1,8 @@
 """Numba kernels: how well a slanted patch of one view agrees with other views.
 
-A pixel x = (u, v, 1) of the reference view at inverse depth w (1/mm, along the optical axis) lies
+A pixel x = (u, v, 1) of the reference view at inverse depth w (1/mm, along the optical axis) is
 in another view at the homogeneous pixel M x + m w, with M = K_s R K_r^-1 and m = K_s t. On a plane
-the inverse depth is affine in the pixel, w (1 + a du + b dv). Normals tell how a patch is bent,
+the inverse depth is affine in the pixel, w (1 + a du + b dv). Normals show how a patch is bent,
 too: from its centre to a sample the slopes' mean of both counts, so the inverse depth of a patch is
 w (1 + bend) with a bend of each sample that no depth changes. Pictures are (h, w, TEXTURES)
 float32, textures of the same surface under different lights, NaN where a pixel may not be used.
@@ -21,7 +21,7 @@ TEXTURES = 4
 albedo times 1, n_x, n_y, n_z), as far as the lights are spread evenly."""
 
 NO_MATCH = np.float32(2.0)
-"""Cost of a patch that no other view can judge. Real costs lie in 0..2; uncorrelated is 1."""
+"""Cost of a patch that no other view can judge. Real costs are in 0..2; uncorrelated is 1."""
 
 # Without `nnan` and `ninf`: NaN marks pixels that may not be used.
 FAST = {"nsz", "arcp", "contract", "reassoc"}

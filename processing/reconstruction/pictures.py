@@ -43,7 +43,7 @@ def write_pictures(
     mesh: Mesh,
     occluders: Mesh | None = None,
 ) -> None:
-    """Write each view's `coverage` and the meshes into a processed folder, where the report looks.
+    """Write each view's `coverage` and the meshes into a processed folder, for the report.
 
     Args:
         out: the processed folder.
@@ -62,7 +62,7 @@ def write_pictures(
 
 
 def write_distance(out: Path, mesh: Mesh, distance_mm: np.ndarray) -> None:
-    """Write how far a processed folder's base mesh lies from the truth, where the report looks.
+    """Write how far a processed folder's base mesh is from the truth, for the report.
 
     Args:
         out: the processed folder.
@@ -77,33 +77,35 @@ def mesh_section(out: Path) -> Section | None:
     mesh = _read(_folder(out) / "mesh.png")
     if mesh is None:
         return None
-    said = (
+    caption = (
         "The mesh from three sides. Skin should be smooth without ripples, holes only where no "
-        "camera looks squarely; blue is its inside."
+        "camera faces it; blue is its inside."
     )
-    parts: list[str | Picture] = [Picture(mesh, said, "mesh", lossless=True)]
+    parts: list[str | Picture] = [Picture(mesh, caption, "mesh", lossless=True)]
     occluders = _read(_occluders(out))
     if occluders is not None:
-        said = "What else casts shadows and hides skin, from three sides. No skin should be in it."
-        parts.append(Picture(occluders, said, "occluders", lossless=True))
+        caption = (
+            "What else casts shadows and hides skin, from three sides. No skin should be in it."
+        )
+        parts.append(Picture(occluders, caption, "occluders", lossless=True))
     distance = _read(_distance(out))
     if distance is not None:
-        said = (
+        caption = (
             "Its distance to the truth, as `evaluate` found it: dark blue 0, yellow "
             f"{LARGEST_MM:g} mm or more. Skin should be dark."
         )
-        parts.append(Picture(distance, said, "distance to the truth", lossless=True))
+        parts.append(Picture(distance, caption, "distance to the truth", lossless=True))
     paths = sorted(_folder(out).glob("coverage-*.png"))
     views = [view for view in map(_read, paths) if view is not None]
     if views:
         row = side_by_side([resize(view, THUMBNAIL_PX) for view in views], THUMBNAIL_PX)
         names = ", ".join(path.stem.removeprefix("coverage-") for path in paths)
-        said = (
+        caption = (
             f"Where views agree: white where {ENOUGH} others or more confirm a pixel's depth, "
             "red where none does (edges, hair, and what one camera alone sees). From left to "
             f"right: {names}."
         )
-        parts.append(Picture(row, said, "coverage"))
+        parts.append(Picture(row, caption, "coverage"))
     return Section("Mesh", parts)
 
 

@@ -1,4 +1,4 @@
-"""Do the cameras stand where the rig says? Checked against matches that pycolmap finds by itself.
+"""Are the cameras where the rig has them? Checked against matches that pycolmap finds by itself.
 
 SIFT features are matched and verified between all pairs of views without the rig's poses
 [Lowe2004]; then each verified match is held against the rig, and the tracks are
@@ -42,7 +42,7 @@ class PairMatches:
 
 @dataclasses.dataclass(frozen=True)
 class PoseReport:
-    """What the matches say about each camera, in the order of the cameras.
+    """What the matches show about each camera, in the order of the cameras.
 
     Attributes:
         camera_ids: names.
@@ -135,7 +135,7 @@ def check_poses(
 
 
 def drifted(report: PoseReport, config: ReconstructConfig) -> list[str]:
-    """What to tell of cameras that are not off, but farther from the rig than they should be."""
+    """Warnings of cameras that are not off, but farther from the rig than they should be."""
     limit = report.limit_px * config.drift_px / config.max_residual_px
     return [
         f"the matches of {camera} miss the rig by {residual:.2f} px (median, above {limit:.2f}): "
@@ -191,12 +191,12 @@ def raise_when_off(report: PoseReport, stage_radius_mm: float) -> None:
 
 def _misses(report: PoseReport, camera: int) -> str:
     """A camera's residual, and that of each pair in which it is above the limit."""
-    said = [f"{report.residual_px[camera]:.1f} px"]
+    parts = [f"{report.residual_px[camera]:.1f} px"]
     for first, second, residual in report.pairs:
         if camera in (first, second) and residual > report.limit_px:
             partner = report.camera_ids[first + second - camera]
-            said.append(f"with {partner} {residual:.1f} px")
-    return ", ".join(said)
+            parts.append(f"with {partner} {residual:.1f} px")
+    return ", ".join(parts)
 
 
 def blame(

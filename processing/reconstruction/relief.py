@@ -117,7 +117,7 @@ def _beyond(excess: np.ndarray, links: np.ndarray, sigma_px: float, doubt: float
 
 
 def low_pass(values: np.ndarray, links: np.ndarray, sigma_px: float) -> np.ndarray:
-    """Gaussian mean of the values at links, weighted by them alone; 0 where none is near."""
+    """(h, w) Gaussian mean of values (h, w) at links (h, w) alone; 0 where none is near."""
     weight = links.astype(np.float32)
     value = np.where(links, values, 0.0).astype(np.float32)
     # A wide Gaussian is taken on a coarser grid: a fifth of sigma is fine enough.
@@ -151,12 +151,12 @@ def solve(
 ) -> np.ndarray:
     """The least-squares shift d: sum over links (d' - d + miss)^2 + weight * sum d^2.
 
-    Conjugate gradients, each pixel scaled by its own weight: staying weighs so much that forty
+    Conjugate gradients, each pixel scaled by its own weight: staying has so much weight that forty
     steps are enough, each a fraction of what a transform of the picture takes.
 
     Args:
         misses: across, (h, w - 1), and down, (h - 1, w): how far steps exceed the wanted ones.
-        links: bool, which of them count; both their pixels are valid.
+        links: (h, w - 1) and (h - 1, w) bool, which of them count; both their pixels are valid.
         valid: (h, w) bool.
         weight: of staying, above 0.
         tolerance: of the residual, as a share of its start.
@@ -261,7 +261,9 @@ def _advance(
 
 
 def at_pixels(links: np.ndarray, axis: int) -> np.ndarray:
-    """Values between neighbours as values at pixels: means of the two, the ends as they are."""
+    """(h, w) values at pixels of those between neighbours along an axis, (h, w - 1) or (h - 1, w):
+    means of the two, the ends as they are.
+    """
     first, second = _neighbours(axis)
     ends = [(1, 1), (0, 0)] if axis == 0 else [(0, 0), (1, 1)]
     wide = np.pad(links, ends, mode="edge")

@@ -1,7 +1,7 @@
-"""A second look: depth again in finer pictures, on the planes of the mesh that the first one gave.
+"""The second round: depth again in finer pictures, on the planes of the first round's mesh.
 
-The first look knows slants from coarse normals alone, which shadows turn by ten degrees in hollows,
-and works in pictures of half the size. The mesh knows better how a patch lies, and where it is to a
+The first round has slants from coarse normals alone, which shadows turn by ten degrees in hollows,
+and uses pictures of half the size. The mesh gives better slants of patches, and its place to a
 fraction of a pixel: what is left is the minimum of a parabola.
 """
 
@@ -50,7 +50,7 @@ def sighted(level: Level, mesh: Mesh, rays: MeshRays, normals: np.ndarray) -> li
     """What all views see of a mesh.
 
     Args:
-        level: whose pixels are asked, of the foreground alone.
+        level: whose pixels are computed, of the foreground alone.
         mesh: mm, world.
         rays: of the mesh.
         normals: (v, 3) of its vertices.
@@ -96,7 +96,7 @@ def look_again(
     Args:
         fine: the pictures, of the size of `seen` or twice it.
         seen: what each view sees of the mesh.
-        sources: the views that each is matched with.
+        sources: of each view (s,) those that it is matched with.
         unsure: of each view (h, w) of `seen`, bool: no other view agreed.
         config: the stage's settings.
         progress: called after each view.
@@ -138,7 +138,7 @@ def _look(
     normals = normals[:height, :width]
     stereo = make_stereo(fine, index, sources, config, normals)
     usable = ~np.isnan(fine.pictures[index, ::every, ::every, 0])
-    # A coarse pixel's centre lies half a fine pixel beyond that of its first fine pixel.
+    # A coarse pixel's centre is half a fine pixel beyond that of its first fine pixel.
     slopes = stereo.slopes[::every, ::every]
     beyond = 1 + 0.5 * (every - 1) * slopes.sum(axis=2)
     now = np.zeros((height, width), np.float32)

@@ -141,7 +141,7 @@ def _sums(vertices: np.ndarray, own: np.ndarray, cells: Cells, sigma: float) -> 
         cy = int((p[1] - origin[1]) / size)
         cz = int((p[2] - origin[2]) / size)
         total = shift = mx = my = mz = 0.0
-        # Cells along z lie one behind the other: three in one run.
+        # Cells along z are one behind the other: three in one run.
         for x in range(max(cx - 1, 0), min(cx + 2, shape[0])):
             for y in range(max(cy - 1, 0), min(cy + 2, shape[1])):
                 line = (x * shape[1] + y) * shape[2]

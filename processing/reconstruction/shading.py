@@ -1,4 +1,4 @@
-"""Photometric normals again, now that the mesh tells which lights each point sees.
+"""Photometric normals again, now that the mesh shows which lights each point sees.
 
 Coarse normals take all lights for seen: beside the nose, around the lids and between the lips,
 where they are not, normals turn by ten degrees and more. With the shadows of the first mesh the

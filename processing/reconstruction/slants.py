@@ -1,4 +1,4 @@
-"""How the surface slants where no light told normals: planes through the points that were matched.
+"""Slants of the surface where no light gave normals: planes through the points that were matched.
 
 Patches on planes that face the camera drift off steep skin. So each level of the search, and then
 consistency, follows the planes through what the level before found, as planes are propagated with
@@ -18,11 +18,11 @@ from processing.reconstruction.views import Level, View, depth_to_points
 RADIUS_PX = 2
 """Of the neighbourhood that a plane is fitted to."""
 REACH_MM = 20.0
-"""Neighbours farther off, along the line of sight, lie on another surface."""
+"""Neighbours farther off, along the line of sight, are on another surface."""
 
 
 def without_normals(views: Sequence[View]) -> bool:
-    """Whether no light told any normal: there are pictures alone."""
+    """Whether no light gave any normal: there are pictures alone."""
     return not any(view.normals.any() for view in views)
 
 
@@ -42,7 +42,7 @@ def as_matched(level: Level, depths: Sequence[np.ndarray]) -> Level:
     """The level with the normals of planes through points, toward the cameras where there are none.
 
     Args:
-        level: whose normals tell nothing.
+        level: which has no normals.
         depths: of each view (h, w) inverse depth, 0 where there is none.
     """
     level = toward_cameras(level)
@@ -58,7 +58,7 @@ def one_level_on(level: Level, coarser: Level, depths: Sequence[np.ndarray]) -> 
     """The level with the normals of planes through the points of the coarser one before it.
 
     Args:
-        level: whose normals tell nothing.
+        level: which has no normals.
         coarser: half its size.
         depths: of each view of the coarser one (h, w) inverse depth, 0 where there is none.
     """

@@ -9,7 +9,7 @@ from numba import njit, prange
 
 STEEPEST = 0.15
 """Cosine to the line of sight below which a normal is bent toward the camera: a patch that is
-seen at a more grazing angle has no samples to speak of."""
+seen at a more grazing angle has hardly any samples."""
 
 
 def plane_slopes(normals: np.ndarray, lens: np.ndarray, pose: np.ndarray) -> np.ndarray:

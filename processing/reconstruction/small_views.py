@@ -160,5 +160,5 @@ def _reduced(
             n = mean[y, x]
             length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
             for c in range(3):
-                # Normals that cancel each other tell no direction.
+                # Normals that cancel each other give no direction.
                 mean[y, x, c] = n[c] / length if length > 0.1 else np.float32(0)

@@ -11,7 +11,7 @@ import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
-from lightstage.formats.cameras import read_session_cameras, said_approximate
+from lightstage.formats.cameras import approximate_warnings, read_session_cameras
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
@@ -49,7 +49,7 @@ CHECKED_ROWS = 1600
 """Poses are checked in pictures of at most twice so many rows."""
 
 PICTURES_ALONE = (
-    "lights that tell no normals, so the mesh is of matched pictures alone: without relief finer "
+    "lights that give no normals, so the mesh is of matched pictures alone: without relief finer "
     "than their patches, and only where two cameras agree"
 )
 """Of a mesh without photometric normals."""
@@ -63,7 +63,7 @@ class Reconstructed(NamedTuple):
         holes: its boundary loops.
         facts: JSON-ready.
         shown: of each camera (h, w, 3) uint8, its `coverage`.
-        occluders: what else casts shadows, mm, world; None for nothing, or where it was not asked.
+        occluders: what else casts shadows, mm, world; None for nothing, or where it was not wanted.
     """
 
     mesh: Mesh
@@ -90,14 +90,14 @@ def reconstruct(
         out: processed folder with decoded frames, foreground masks and views' diffuse normals.
         config: settings.
         progress: called as views are matched.
-        normals: whether the photographs tell normals; false matches them as pictures alone.
+        normals: whether the photographs give normals; false matches them as pictures alone.
 
     Returns:
         Facts: vertices, faces, holes, points, agreement, where normals came from.
 
     Raises:
         FormatError: an input that an earlier stage should have written.
-        PoseError: cameras that do not stand where the rig says.
+        PoseError: cameras that are not where the rig has them.
         ReconstructionError: views that do not see one surface, or a given mesh that is not where
             they show the head.
     """
@@ -136,7 +136,7 @@ class Made(NamedTuple):
     """What `reconstruct` writes, however it was made.
 
     Attributes:
-        poses: what matches say of the cameras.
+        poses: what matches show of the cameras.
         found: mesh, facts, pictures.
         warnings: what the user should know of it.
     """
@@ -168,7 +168,7 @@ def _matched(
 ) -> Made:
     """The mesh that the photographs give."""
     with ThreadPoolExecutor(1) as pool:
-        # Features are looked for by one core: the other one makes the views meanwhile.
+        # One core finds features: the other one makes the views meanwhile.
         checked = pool.submit(check_session_poses, session, out, config)
         try:
             views, lights = read_views(session, out, config, normals=normals)
@@ -191,7 +191,7 @@ def others_beside(views: list[View], config: ReconstructConfig, normals: bool) -
     if config.occluders:
         mesh = read_given(Path(config.occluders))
         return lambda _: mesh
-    # Of pictures alone, everything is in the skin's mesh; one view tells no depth.
+    # Of pictures alone, everything is in the skin's mesh; one view gives no depth.
     if not config.find_occluders or not normals or len(views) < 2:
         return nothing_beside
 
@@ -205,11 +205,11 @@ def check_session_poses(session: Session, out: Path, config: ReconstructConfig) 
     """Check the rig against matches between the pictures of the brightest pattern.
 
     Raises:
-        PoseError: cameras that do not stand where the rig says, or a rig in another unit.
+        PoseError: cameras that are not where the rig has them, or a rig in another unit.
     """
     cameras, pictures, masks = [], [], []
     rows = max(camera.height_px for camera in session.rig.cameras)
-    # Features are looked for in pictures of half to whole this size: larger ones take minutes.
+    # Features are found in pictures of half to whole this size: larger ones take minutes.
     times = max(1, matched_times(rows, CHECKED_ROWS) // 2)
     for name in session.camera_ids():
         frames = read_frames(out, name)
@@ -280,7 +280,7 @@ def reconstruct_views(
         config: settings.
         progress: called as views are matched.
         lights: of the patterns that the views' signals are of, where they have signals.
-        beside: tells what else casts shadows beside a first mesh of the skin.
+        beside: finds what else casts shadows beside a first mesh of the skin.
 
     Raises:
         ReconstructionError: fewer than two views show anything, or no points agree.
@@ -325,14 +325,14 @@ def reconstruct_views(
 
 
 def _warnings(session: Session, poses: PoseReport) -> list[str]:
-    said = said_approximate(read_session_cameras(session))
+    warnings = approximate_warnings(read_session_cameras(session))
     known = set(session.camera_ids())
-    said += [f"{c.id} has no photographs" for c in session.rig.cameras if c.id not in known]
-    said += [
+    warnings += [f"{c.id} has no photographs" for c in session.rig.cameras if c.id not in known]
+    warnings += [
         f"the pose of {camera} could not be checked: {counted(count, 'match', 'matches')}"
         for camera, count, residual in zip(
             poses.camera_ids, poses.matches, poses.residual_px, strict=True
         )
         if np.isnan(residual)
     ]
-    return said
+    return warnings

@@ -1,7 +1,7 @@
 """Depth of every view, coarse to fine, on the planes that photometric normals give.
 
 Slanted windows and propagation of planes as in [Bleyer2011]; here the slant is known, and how the
-window is bent, and only the depth is sought. Where no light told normals, slants are those of the
+window is bent, and only the depth is sought. Where no light gave normals, slants are those of the
 coarser level's surface.
 """
 
@@ -78,7 +78,7 @@ def make_stereo(
     Args:
         level: the pictures.
         reference: index of the view whose depth is sought.
-        sources: indices of those it is matched with.
+        sources: (s,) indices of those it is matched with.
         config: patches and limits.
         normals: (h, w, 3) that patches follow; None for the level's own.
     """
@@ -161,7 +161,7 @@ def match_views(
                     _polish(stereo, 0.5, config.still_px, depth, cost, still)
                 iterations = config.iterations[min(number, len(config.iterations) - 1)]
                 _propagate(stereo, iterations, config, still, depth, cost)
-                # The second look starts from the mesh.
+                # The second round starts from the mesh.
                 if number == len(levels) - 1 and not config.look_again:
                     _polish(stereo, 0.3, 0.0, depth, cost, still)
             depths.append(depth)
@@ -181,7 +181,7 @@ def doubled(inverse_depth: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     height, width = slopes.shape[:2]
     rows, columns = np.arange(height), np.arange(width)
     near = inverse_depth[rows[:, None] // 2, columns[None] // 2]
-    # A fine pixel's centre lies half a fine pixel from the coarse one's.
+    # A fine pixel's centre is half a fine pixel from the coarse one's.
     dx = np.where(columns % 2, 0.5, -0.5)[None]
     dy = np.where(rows % 2, 0.5, -0.5)[:, None]
     return (near * (1 + slopes[..., 0] * dx + slopes[..., 1] * dy)).astype(np.float32)
@@ -202,7 +202,7 @@ def _start(
     far = middle + config.depth_reach_mm
     candidates = np.arange(1 / far, 1 / near, 0.5 * float(stereo.step)).astype(np.float32)
     hull = [transfer(level, stereo.reference, other) for other in range(len(level.poses))]
-    # A view that shows nothing at all says nothing about where the head is.
+    # A view that shows nothing at all does not show where the head is.
     masks = level.masks | ~level.masks.any(axis=(1, 2), keepdims=True)
     sweep(
         stereo,

@@ -148,7 +148,7 @@ def propagate(
 
     Args:
         stereo: the views.
-        reaches: (r,) odd distances at which neighbours are asked, px.
+        reaches: (r,) odd distances at which neighbours are tried, px.
         deltas: (d,) steps tried to both sides, px of disparity.
         smoothness: weight of `roughness` beside the matching cost.
         colour: 0 or 1, the half of the chequerboard that is written.
@@ -167,9 +167,9 @@ def propagate(
             a, b = slopes[row, column, 0], slopes[row, column, 1]
             best_w, best_data = inverse_depth[row, column], cost[row, column]
             best, count, floor, idle = best_data, -1, ZERO, still[row, column]
-            asked = 4 * reaches.shape[0]
-            for index in range(asked + 2 * deltas.shape[0]):
-                if index < asked:
+            neighbours = 4 * reaches.shape[0]
+            for index in range(neighbours + 2 * deltas.shape[0]):
+                if index < neighbours:
                     dx, dy = _side(index % 4, reaches[index // 4])
                     x, y = column + dx, row + dy
                     if not (0 <= x < width and 0 <= y < height):
@@ -181,7 +181,7 @@ def propagate(
                 else:
                     if idle or not best_w > ZERO:
                         continue
-                    delta = deltas[(index - asked) // 2] * step
+                    delta = deltas[(index - neighbours) // 2] * step
                     w = best_w + delta if index % 2 == 0 else best_w - delta
                 if not w > ZERO:
                     continue

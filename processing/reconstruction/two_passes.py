@@ -26,7 +26,7 @@ Depths = tuple[Level, list[np.ndarray], list[np.ndarray]]
 
 
 WIDER = 4.0
-"""The first mesh reaches so much farther from its points: the second look tells what is true."""
+"""The first mesh reaches so much farther from its points: the second round decides what is true."""
 
 TRIM_PX = 2.0
 """No surface is cut nearer to a point than so many pixels: neighbours would be parted."""
@@ -53,7 +53,7 @@ def meshed(found: Depths, config: ReconstructConfig) -> tuple[Points, Mesh]:
 def as_known(
     views: Sequence[View], found: Depths, config: ReconstructConfig
 ) -> tuple[Depths, ReconstructConfig]:
-    """Depths and settings as they are, or, where no light told normals, as pictures alone allow.
+    """Depths and settings as they are, or, where no light gave normals, as pictures alone allow.
 
     Planes through neighbouring points then stand for normals; relief, and what normals carry on,
     would be made up.
@@ -72,15 +72,15 @@ def twice(
     progress: ProgressCallback = quiet,
     beside: OthersBeside = nothing_beside,
 ) -> tuple[Depths, Points, Mesh, Mesh | None]:
-    """A mesh, and, where `config.look_again`, a second one by what the first one tells.
+    """A mesh, and, where `config.look_again` is set, a second one by means of the first.
 
     Args:
         views: that were matched.
         found: of `match_views`.
         config: the stage's settings.
         lights: of the patterns that the views' signals are of.
-        progress: called after each view of the second look.
-        beside: tells what else casts shadows beside a mesh of the skin.
+        progress: called after each view of the second round.
+        beside: finds what else casts shadows beside a mesh of the skin.
 
     Returns:
         Depths, points, mesh, and what else casts shadows.
@@ -94,7 +94,7 @@ def twice(
         config,
         carry_mm=WIDER * config.carry_mm,
         trim_mm=WIDER * config.trim_mm,
-        splits=0,  # The second look needs planes and shadows alone.
+        splits=0,  # The second round needs planes and shadows alone.
     )
     points, mesh = meshed(found, wider)
     level = found[0]

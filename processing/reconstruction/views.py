@@ -11,6 +11,7 @@ import numpy as np
 from lightstage.rig import Camera
 from processing.normals import chroma_signal
 from processing.reconstruction.patches import TEXTURES
+from processing.vectors import unit
 
 SMALL_ROWS = 600
 """Pictures of at most so many rows are searched as they are."""
@@ -19,7 +20,10 @@ WHITE = 0.5
 """Weight of the white part of colour, which holds the highlights, beside the rest."""
 
 GREY = 0.1
-"""A pixel less saturated than this has no colour that tells the light it scatters."""
+"""A pixel less saturated than this has no colour that shows the light it scatters."""
+
+SHORTEST = 1e-3
+"""Of a mean of normals: they cancel each other in a shorter one."""
 
 BASIS_ROWS = 380
 """Contrast is measured between pixels of about so many rows a picture."""
@@ -35,7 +39,7 @@ class View:
         mask: (h, w) bool, foreground.
         normals: (h, w, 3) float32 unit, world; zero where unknown.
         signal: (h, w, P) float32, what scattered light a pixel reads under each pattern, on a scale
-            of its own; NaN where there is none. None where it was not asked for.
+            of its own; NaN where there is none. None where it was not wanted.
     """
 
     camera: Camera
@@ -72,7 +76,7 @@ class Level:
 def common_basis(images: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> np.ndarray:
     """Weights from patterns and colours to the textures that carry most local contrast.
 
-    Mirror reflection has the light's own (white) colour, and a highlight lies behind the surface
+    Mirror reflection has the light's own (white) colour, and a highlight is behind the surface
     and wanders from view to view; the part of RGB orthogonal to white is free of it [Mallick2005]
     but noisier. So white is weighed down; of the rest, principal components of the differences
     between pixels a few apart: the pooled correlation over them is nearly that over all pictures.
@@ -159,7 +163,7 @@ def make_view(
             signal = _each(signal, x, y)
         camera = straight
     textures[~(usable & mask)] = np.nan
-    return View(camera, textures, mask, _unit(normals), signal)
+    return View(camera, textures, mask, unit(normals, SHORTEST), signal)
 
 
 def _signal(rgb: np.ndarray, usable: np.ndarray, white: np.ndarray) -> np.ndarray:
@@ -212,7 +216,9 @@ def halved(level: Level) -> Level:
     # Half a block of valid pixels makes a valid pixel.
     pictures[weight[..., 0] < 2] = np.nan
     masks = block_sum(level.masks[..., None].astype(np.float32))[..., 0] > 0
-    return Level(pictures, masks, _unit(block_sum(level.normals)), level.lenses / 2, level.poses)
+    return Level(
+        pictures, masks, unit(block_sum(level.normals), SHORTEST), level.lenses / 2, level.poses
+    )
 
 
 def pictures_of(views: Sequence[View], finest_rows: int) -> Level:
@@ -262,8 +268,3 @@ def block_sum(values: np.ndarray) -> np.ndarray:
     padded = np.pad(values, ((0, 0), (0, height % 2), (0, width % 2), (0, 0)))
     rows, columns = padded.shape[1] // 2, padded.shape[2] // 2
     return padded.reshape(views, rows, 2, columns, 2, channels).sum(axis=(2, 4))
-
-
-def _unit(normals: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return np.divide(normals, length, out=np.zeros_like(normals), where=length > 1e-3)

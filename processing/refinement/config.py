@@ -1,4 +1,4 @@
-"""What `refine` may be told."""
+"""Settings of `refine`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from processing.refinement.joint import Noise
 
 @dataclasses.dataclass(frozen=True)
 class RefineConfig:
-    """What `refine` may be told."""
+    """Settings of `refine`."""
 
     most_faces: int = 120_000
     """A denser mesh is thinned: shadows are cast from its vertices."""
@@ -28,13 +28,13 @@ class RefineConfig:
     scattering: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75)
     """Shares of light that wanders inside the skin that are tried, each after the one before it."""
     noise_from_photographs: bool = True
-    """Whether the sensor's noise is measured where pairs of patterns tell it (`noise`)."""
+    """Whether the sensor's noise is measured where pairs of patterns show it (`noise`)."""
     noise_sensor: float = 0.001
     noise_floor: float = 0.25
     noise_model: float = 0.003
     noise_shade_gloss: float = 0.03
     noise_shade: float = 0.003
-    """Of the readings: see `joint.Noise`. The first two stand where no pair of patterns tells them;
+    """Of the readings: see `joint.Noise`. The first two hold where no pair of patterns shows them;
     for gloss, colour counts more than the model of light."""
     gloss_rounds: int = 3
     """Steps of the search for roughness and specular albedo."""
@@ -69,19 +69,19 @@ class RefineConfig:
     albedo_prior_power: float = 0.005
     """Weight of the neighbours' albedo against a pixel's squared irradiance (2 in the open)."""
     grey_saturation: float = 0.05
-    """Below this saturation colour tells nothing; from twice as much it is trusted."""
+    """Below this saturation colour has no weight; from twice as much it has full weight."""
     dark_level: float = 0.004
-    """A pixel whose brightest pattern stays below this tells nothing (1 = white under `full`)."""
+    """A pixel whose brightest pattern stays below this is not used (1 = white under `full`)."""
     dark_power: float = 0.1
-    """Where a pixel's squared irradiance is so much (2 in the open) it is trusted by half."""
+    """A squared irradiance of this (2 in the open) halves the confidence."""
     doubtful_misfit: float = 20.0
-    """Where the residual's variance is so many times what is usual on the face, by half again."""
+    """A residual's variance of this many times the usual one on the face halves the confidence."""
     doubtful_turn_deg: float = 2.0
-    """Where noise turns the normal by so much, by half again."""
+    """Noise that turns the normal by this much halves the confidence."""
     coarse_confidence: float = 0.3
     """Share of their confidence that coarse maps keep where the mesh has a hole."""
     doubtful_apart_deg: float = 5.0
-    """Where the diffuse normal is so far from that of all readings, by half again."""
+    """This angle between the diffuse normal and that of all readings halves the confidence."""
     apart_deg: float = 2.0
     """What light wandering inside the skin turns its diffuse normals by: where noise beyond what
     is expected turns those of chroma by as much, the normals of all readings count half."""

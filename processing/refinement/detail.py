@@ -20,10 +20,11 @@ from lightstage.rig import Camera
 from processing.displacement import curved_middles, heights_of_steps
 from processing.rays import MeshRays
 from processing.splitting import split
+from processing.vectors import unit
 
 MOST_SPLITS = 4
 LEAST_COSINE = 0.25
-"""A camera that sees the surface under a smaller one does not tell its relief."""
+"""A camera that sees the surface under a smaller one does not show its relief."""
 STEEPEST = 1.0
 """Slopes of relief are cut there: 45 degrees."""
 
@@ -50,7 +51,7 @@ class Detailed:
     Attributes:
         mesh: finer than what it came from, mm.
         height_mm: (v,) how far each vertex was moved along the normal of the mesh it came from.
-        known: (v,) bool, whether any camera told its relief.
+        known: (v,) bool, whether any camera showed its relief.
     """
 
     mesh: Mesh
@@ -61,7 +62,7 @@ class Detailed:
 def displaced(
     mesh: Mesh, views: Sequence[NormalView], edge_mm: float, below_mm: float, offset_mm: float = 0.1
 ) -> Detailed:
-    """Split a mesh finely and give it the relief that normals tell.
+    """Split a mesh finely and give it the relief that normals show.
 
     Args:
         mesh: triangles, mm, world, oriented outward.
@@ -83,11 +84,11 @@ def displaced(
         triangles, ends = split(triangles, len(vertices))
         halfway.append(ends)
         vertices = np.concatenate([vertices, curved_middles(vertices, normals, ends)])
-        normals = _unit(np.concatenate([normals, normals[ends].mean(axis=1)]))
+        normals = unit(np.concatenate([normals, normals[ends].mean(axis=1)]))
         mean_mm /= 2
-    told, known = normals_at(vertices, normals, rays, views, offset_mm)
+    seen_normals, known = normals_at(vertices, normals, rays, views, offset_mm)
     edges, _ = edge_counts(triangles)
-    slopes = slopes_beyond(told, normals, known)
+    slopes = slopes_beyond(seen_normals, normals, known)
     slopes = small_part(slopes, known, halfway, coarse, below_mm / coarse_mm)
     slopes -= np.einsum("vk,vk->v", slopes, normals)[:, None] * normals
     height = heights(vertices, slopes, known, edges, (mean_mm / below_mm) ** 2)
@@ -102,7 +103,7 @@ def normals_at(
     views: Sequence[NormalView],
     offset_mm: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What the views tell of vertices' directions: means by trust and by how squarely each is seen.
+    """Vertices' directions by the views: means by trust and by how squarely each is seen.
 
     Args:
         vertices: (v, 3) mm.
@@ -117,7 +118,7 @@ def normals_at(
     total, weights = np.zeros_like(vertices), np.zeros(len(vertices))
     for view in views:
         toward = view.camera.centre_mm - vertices
-        cosine = np.einsum("vk,vk->v", _unit(toward), normals)
+        cosine = np.einsum("vk,vk->v", unit(toward), normals)
         some = np.flatnonzero(cosine > LEAST_COSINE)
         free = rays.visible(
             vertices[some], normals[some], view.camera.centre_mm[None], offset_mm=offset_mm
@@ -140,13 +141,13 @@ def normals_at(
     return np.where(known[:, None], total / np.maximum(length, 1e-12)[:, None], normals), known
 
 
-def slopes_beyond(told: np.ndarray, normals: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """(v, 3) gradients of the height along `normals` that would turn them into `told`.
+def slopes_beyond(seen_normals: np.ndarray, normals: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """(v, 3) gradients of the height along `normals` that would turn them into `seen_normals`.
 
     A surface x + h n has a normal along n - grad h, as far as it bends little.
     """
-    along = np.einsum("vk,vk->v", told, normals)
-    slopes = normals - told / np.maximum(along, 1e-3)[:, None]
+    along = np.einsum("vk,vk->v", seen_normals, normals)
+    slopes = normals - seen_normals / np.maximum(along, 1e-3)[:, None]
     steep = np.linalg.norm(slopes, axis=1)
     slopes *= (np.minimum(steep, STEEPEST) / np.maximum(steep, 1e-12))[:, None]
     return np.where((known & (along > 0.1))[:, None], slopes, 0.0)
@@ -165,9 +166,9 @@ def small_part(
     large needs no finer one.
 
     Args:
-        slopes: 0 where not known.
+        slopes: (v, 3), 0 where not known.
         known: (v,) bool; others do not count.
-        halfway: of each split (m, 2), between which vertices the new ones lie.
+        halfway: of each split (m, 2), between which vertices the new ones are.
         edges: (e, 2) of the unsplit mesh.
         sigma_edges: of the Gaussian, in mean lengths of its edges.
     """
@@ -233,7 +234,3 @@ def _sampled(layer: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def _mean_edge(vertices: np.ndarray, triangles: np.ndarray) -> float:
     ends = vertices[edge_counts(triangles)[0]]
     return float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean()) if len(ends) else 0.0
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12))

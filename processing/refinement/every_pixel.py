@@ -128,7 +128,7 @@ def columns_of(knows: GridKnows) -> np.ndarray:
 
 
 def grid_knows(scene: Scene, grid: View, found: Solved, config: RefineConfig) -> GridKnows:
-    """What a grid tells all pixels of its view."""
+    """What a grid gives all pixels of its view."""
     sight, around = grid.sight, around_of(scene, grid, found)
     evidence = grid_evidence(scene, grid, found, config)
     roughness, specular = gloss_of(scene, sight)
@@ -168,21 +168,21 @@ def pictured(
     sites: NodeSites | None,
     config: RefineConfig,
 ) -> Picture:
-    """Which pixels show the mesh, and how far each is from an edge.
+    """Which pixels of a (h, w) foreground show the mesh, and how far each is from an edge.
 
-    Between safe nodes all do, and there is no edge; elsewhere rays tell.
+    Between safe nodes all do, and there is no edge; elsewhere rays decide.
     """
-    asked = foreground
+    needed = foreground
     if sites is not None:
         safe = np.zeros(foreground.shape, bool)
         cells = sites.safe.repeat(sites.sight.step, axis=0).repeat(sites.sight.step, axis=1)
         height, width = np.minimum(cells.shape, safe.shape).tolist()
         safe[:height, :width] = cells[:height, :width]
-        asked = foreground & ~safe
-    near = cv2.dilate(asked.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+        needed = foreground & ~safe
+    near = cv2.dilate(needed.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     depth = depth_of(scene.surface, camera, near & foreground)
-    mask = foreground & ~(asked & np.isinf(depth))
-    edges = depth_edges(depth, config.depth_step_mm) & asked
+    mask = foreground & ~(needed & np.isinf(depth))
+    edges = depth_edges(depth, config.depth_step_mm) & needed
     distance = edge_distance_px(mask & ~edges)
     inside = np.minimum(4 * distance, 255).astype(np.uint8)
     first = np.concatenate([[0], np.cumsum(np.count_nonzero(mask, axis=1))])
@@ -190,7 +190,7 @@ def pictured(
 
 
 def photos_of(frames: Frames, white: np.ndarray, config: RefineConfig) -> Photos:
-    """What compiled code takes of a camera's photographs."""
+    """What compiled code takes of a camera's photographs; `white` is (3,), the lights' colour."""
     return Photos(
         np.asarray(frames.half).view(np.uint16),
         np.asarray(frames.clipped),
@@ -215,8 +215,8 @@ def solve_exactly(
     Args:
         scene: with its gloss found.
         view: the pixels.
-        knows: what the grid tells.
-        of_grid: its columns.
+        knows: what the grid gives.
+        of_grid: (n, OF_GRID) its columns.
         inside: (n,) pixels to the nearest edge.
         config: see there.
     """
@@ -258,7 +258,7 @@ def finish_given(
     albedo = np.divide(
         solved.lit, solved.power, out=np.zeros_like(solved.lit), where=solved.power > 0
     )
-    # Polarised light needs no colour to tell what is mirrored.
+    # Polarised light needs no colour to show what is mirrored.
     colourful = np.full_like(view.saturation, 1e9) if scene.lights.polarised else view.saturation
     given = np.column_stack(
         [

@@ -15,7 +15,7 @@ NORMAL, MATTE, ALBEDO, POWER, MISFIT, CERTAINTY, SATURATION = 0, 3, 6, 9, 12, 13
 MESH, FACING, INSIDE, PRIOR, ROUGHNESS, SPECULAR, USABLE, OPEN = 15, 18, 19, 20, 23, 24, 25, 26
 VIEW, MATTE_TURN2, GIVEN = 27, 30, 31
 """Places of what `finish_pixel` is given: both normals, albedo and its power in R G B, what
-`joint.Solved` says of misfit and certainty, saturation, the mesh's normal, how much it faces the
+`joint.Solved` has of misfit and certainty, saturation, the mesh's normal, how much it faces the
 camera (`facing`), the distance to the nearest edge in pixels, the neighbours' albedo, gloss, 1
 where the readings can be used, ambient occlusion, the direction to the camera, and the mean
 squared turn that noise gives the matte normal."""
@@ -24,7 +24,7 @@ LEAST_WEIGHT = 1e-6
 
 
 class Limits(NamedTuple):
-    """What `RefineConfig` says of trust, against readings as noisy as expected."""
+    """The settings of `RefineConfig` for trust, against readings as noisy as expected."""
 
     edge_px: float
     grey_saturation: float
@@ -90,7 +90,7 @@ def facing(normals: np.ndarray, views: np.ndarray) -> np.ndarray:
 
 @njit(cache=True, error_model="numpy")
 def finish_pixel(given: np.ndarray, at: int, limits: Limits, maps: Maps) -> None:
-    """Write one pixel's maps from the GIVEN numbers of it; what is unsolved stays zero."""
+    """Write a pixel's maps from its (GIVEN,) numbers; what is unsolved stays zero."""
     maps.occlusion[at] = given[OPEN]
     agreement = toward = 0.0
     for x in range(3):

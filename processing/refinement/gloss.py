@@ -1,7 +1,7 @@
 """Skin's gloss on the mesh: specular albedo and lobe width that explain all views together.
 
 One pixel's seven readings hold too little of its mirror reflection to beat a constant. What the
-pixels of all views say (`joint.gloss_evidence`) is summed at the mesh's vertices; a lobe width is
+pixels of all views show (`joint.gloss_evidence`) is summed at the mesh's vertices; a lobe width is
 found over some millimetres, and with it the specular albedo over one.
 """
 
@@ -60,7 +60,7 @@ def better_gloss(
     spread: float,
     wrong: np.ndarray | float = 0.0,
 ) -> Gloss:
-    """Gloss nearer to what the pixels say, by one step of Gauss-Newton.
+    """Gloss nearer to the pixels' evidence, by one step of Gauss-Newton.
 
     Args:
         gloss: about which the evidence was taken.
@@ -96,9 +96,9 @@ def better_gloss(
     level = found.sum() / ss.sum()
     # Averages stand for so many vertices of their own.
     together = max(4 * np.pi * (specular_pool_mm / surface.edge_mm) ** 2, 1.0)
-    told = 1 / (1 + together * ss * wrong**2)
-    found, ss = found * told, ss * told
-    # The whole face's own level stands for a place that says little.
+    shrinkage = 1 / (1 + together * ss * wrong**2)
+    found, ss = found * shrinkage, ss * shrinkage
+    # The whole face's own level replaces that of a place with little evidence.
     typical = prior * ss.sum() / max(int((ss > 0).sum()), 1)
     typical += 1 / (together * spread**2)
     top = found + typical * level
@@ -139,7 +139,7 @@ def local_specular(
 ) -> np.ndarray:
     """Specular albedo of one view's pixels, finer than the mesh holds.
 
-    What pixels say together over the mesh's own pool counts as far as it is trusted.
+    # The pixels' joint evidence over the mesh's own pool counts as far as it is trusted.
 
     Args:
         evidence: (n, 5) of `joint.gloss_evidence` about `specular`.

@@ -31,7 +31,7 @@ def find_gloss(
 
     Returns:
         The scene with what was found, each grid's pixels as solved, and what steps beyond the
-        simplest model of light were worth.
+        simplest model of light gained.
     """
     surface = scene.surface
     between, entered, bounced = None, np.zeros(0), None
@@ -51,6 +51,10 @@ def find_gloss(
             scene, steps = best_model(
                 scene, grids, wandering(scene, grids, solved), bounced, config
             )
+            if between is not None and not scene.facets.covers:
+                entered = vertex_irradiance(
+                    surface, scene.lights, scene.interface, config.roughness
+                )
             solved = [solve_grid(scene, g, b, config) for g, b in zip(grids, solved, strict=True)]
         elif done == 0:
             scene = dataclasses.replace(scene, scattering=config.scattering[0])
@@ -93,7 +97,7 @@ def mistaken(scene: Scene, solved: list[Solved], config: RefineConfig) -> np.nda
 def doubt(grids: list[View], solved: list[Solved], config: RefineConfig) -> float:
     """By what factor the residuals' variance is above what is expected, at least 1.
 
-    Photographs may be noisier than the configuration says; then their evidence is worth less.
+    Photographs may be noisier than configured; then their evidence has less weight.
     """
     misfits = [
         found.misfit[(found.misfit > 0) & (steady(grid, config) > 0.5)]
@@ -121,7 +125,7 @@ def solve_some(
     around: Scattered,
     config: RefineConfig,
 ) -> Solved:
-    """One step for some of a view's pixels, from their own normals and light that wanders."""
+    """One step for (n,) some of a view's pixels, from (n, 3) normals and light that wanders."""
     return solve_jointly(given_of(scene, view, some, start, around, config.noise), rounds=1)
 
 
@@ -140,7 +144,7 @@ def wandering(scene: Scene, grids: list[View], solved: list[Solved]) -> list[Sca
 
 
 def grid_evidence(scene: Scene, view: View, solved: Solved, config: RefineConfig) -> np.ndarray:
-    """(n, 5) what the pixels say of the gloss; those at steep angles and edges say nothing."""
+    """(n, 5) the pixels' evidence of the gloss; those at steep angles and edges have none."""
     around = around_of(scene, view, solved)
     evidence = gloss_evidence(given_of(scene, view, ALL, solved.normal, around, config.gloss_noise))
     return np.asarray(evidence * steady(view, config)[:, None])

@@ -34,7 +34,7 @@ class Noise:
         sensor: root of the shot noise's variance for a reading of 1.
         model: what a channel's reading is wrong by, as a share of it.
         shade: what a pattern's irradiance is wrong by, as a share of it, in all channels alike:
-            shadows, bounces and lamps that are not quite as modelled. Colour still tells gloss.
+            shadows, bounces and lamps that are not quite as modelled. Colour still shows gloss.
         floor: the noise without light over the shot noise's variance for a reading of 1.
     """
 
@@ -46,7 +46,7 @@ class Noise:
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """Where n pixels lie on the mesh.
+    """Places of n pixels on the mesh.
 
     Attributes:
         points_mm: (n, 3).
@@ -86,7 +86,7 @@ class Given:
 
     Attributes:
         rgb: (n, P, 3) readings in the lights' own colour.
-        lights: of P patterns; polarised ones need no colour to tell what is mirrored.
+        lights: of P patterns; polarised ones need no colour to show what is mirrored.
         place: of the n pixels.
         normals: (n, 3) unit, to start from; zero where there is none.
         roughness: (n,) m of the facets.
@@ -131,7 +131,7 @@ def solve_jointly(given: Given, rounds: int = 2) -> Solved:
 
 
 def gloss_evidence(given: Given) -> np.ndarray:
-    """What each pixel says of its specular albedo and roughness, normal and albedo left free.
+    """Each pixel's evidence of its specular albedo and roughness, normal and albedo left free.
 
     Args:
         given: see there; the lobe is taken as linear about its roughness and specular albedo.
@@ -147,7 +147,7 @@ def gloss_evidence(given: Given) -> np.ndarray:
 
 
 def held_out(given: Given, groups: np.ndarray) -> np.ndarray:
-    """How far each group of patterns is from what a pixel's other patterns say of it.
+    """How far each group of patterns is from what a pixel's other patterns predict.
 
     Normal and albedo are fitted to the other patterns alone; the squared error of the prediction is
     divided by its variance, which holds the readings' noise and what the others leave open.
@@ -212,7 +212,7 @@ def lamps_of(lights: PatternLights, place: Place, interface: Interface) -> Lamps
         mirrored=place.mirrored.astype(np.float32),
         stray=stray.astype(np.float32),
         bounced=place.bounced,
-        table=fresnel_table().astype(np.float32),
+        table=fresnel_table(interface.facets.rises).astype(np.float32),
         through=interface.table,
         mean=interface.mean,
         shape=interface.facets.shape,

@@ -1,4 +1,4 @@
-"""One pixel's normal equations and what they tell, for `joint_kernels`."""
+"""One pixel's normal equations and their solution, for `joint_kernels`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 MOST_TURN2 = 1e6
-"""A larger mean squared turn, rad^2, is told as this: such a normal is noise alone."""
+"""A larger mean squared turn, rad^2, is reported as this: such a normal is noise alone."""
 
 
 class Spread(NamedTuple):
@@ -180,7 +180,7 @@ def left_over(
     s: float,
     spread: Spread,
 ) -> float:
-    """The squared residual alone, weighed as in `normal_equations`."""
+    """The squared residual alone, weighed as in `normal_equations`, whose shapes it takes."""
     shade2 = spread.shade2
     total = 0.0
     for k in range(len(light)):
@@ -230,7 +230,9 @@ def matte_normal(
     spread: Spread,
     out: np.ndarray,
 ) -> float:
-    """Normal from chroma: signal_k = g_k . b along the pixel's own hue, across white.
+    """Normal (3,) from chroma: signal_k = g_k . b along the pixel's own hue, across white.
+
+    Shapes are those of `normal_equations`; `out` is overwritten with the normal.
 
     Without `colour`, from the sum of all channels less the mirror reflection. Returns the mean
     squared turn, rad^2, that the readings' noise gives it (all patterns' signals taken as equally

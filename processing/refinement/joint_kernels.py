@@ -201,7 +201,7 @@ def evidence_kernel(
     spread: Spread,
     out: np.ndarray,
 ) -> None:
-    """Fill in what `joint.gloss_evidence` returns; arguments as there."""
+    """Fill in what `joint.gloss_evidence` returns, (n, 5); arguments as there."""
     patterns = pixels.rgb.shape[1]
     for i in prange(len(pixels.rgb)):
         n = pixels.starts[i]
@@ -220,7 +220,7 @@ def evidence_kernel(
             ss -= b[p, 1] * free[p, 1]
             sm -= b[p, 1] * free[p, 2]
             mm -= b[p, 2] * free[p, 2]
-        # What no gloss explains is shadow, hair or motion: such a pixel has little to say.
+        # What no gloss explains is shadow, hair or motion: such a pixel has little evidence.
         outside = max(left2, 0.0) / (3 * patterns - 7)
         trust = 1 / (1 + outside / 9) ** 2
         if not (ss > 0 and mm >= 0 and math.isfinite(s_left + m_left + sm)):
@@ -240,7 +240,7 @@ def held_out_kernel(
     groups: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Fill in what `joint.held_out` returns; arguments as there."""
+    """Fill in what `joint.held_out` returns, (n, G), of (P,) groups; arguments as there."""
     for i in prange(len(pixels.rgb)):
         n = pixels.starts[i]
         if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and pixels.roughness[i] > 0):

@@ -1,11 +1,12 @@
 """Which model of light a face has: the simplest that predicts readings which it was not fitted to.
 
 The simplest is Beckmann's round lobe, no light from skin to skin and none that wanders inside the
-skin. GGX's tails, a stretched lobe, light from skin to skin and each amount of scattering are steps
-beyond it. Of some pixels of every view one half tells the gloss of each model. In the other half
-the patterns of one axis after the other are left out, and predicted from the rest: a gradient and
-its complement go together, for each is `full` less the other whatever the face. A step is taken
-where it predicts better, by more than a margin and than what parts of the face differ by.
+skin. GGX's tails, a stretched lobe, a mirror that does not rise toward grazing angles, skin that
+all light enters, light from skin to skin and each amount of scattering are steps beyond it. One
+half of some pixels of every view fits the gloss of each model. In the other half the patterns of
+one axis after the other are left out, and predicted from the rest: a gradient and its complement go
+together, for each is `full` less the other whatever the face. A step is taken where it predicts
+better, by more than a margin and than what parts of the face differ by.
 
 Source: [Stone1974] for choice by cross-validation.
 """
@@ -68,7 +69,7 @@ class Model:
 
 @dataclasses.dataclass(frozen=True)
 class Step:
-    """What one step beyond a model is worth.
+    """The gain of one step beyond a model.
 
     Attributes:
         name: of the step.
@@ -86,8 +87,8 @@ class Step:
     @property
     def fact(self) -> str:
         """For the report."""
-        said = f"{100 * self.gain:+.1f} % +- {100 * self.error:.1f}"
-        return f"{said}, {'taken' if self.taken else 'left out'}"
+        gain = f"{100 * self.gain:+.1f} % +- {100 * self.error:.1f}"
+        return f"{gain}, {'taken' if self.taken else 'left out'}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,9 +145,9 @@ def best_model(
 
     Args:
         scene: before anything was found.
-        views: of which about `config.choice_pixels` pixels are asked.
+        views: of which about `config.choice_pixels` pixels are used.
         wandering: what wanders to each view's pixels if all light did.
-        bounced: (V, P, 3) irradiance by light from other skin; None where it is not asked.
+        bounced: (V, P, 3) irradiance by light from other skin; None where it is not tried.
         config: see there.
 
     Returns:
@@ -156,22 +157,22 @@ def best_model(
     samples = list(sampled(views, wandering, config))
     model = Model()
     best = fitted(scene, model, samples, groups, bounced, config, FIRST_ROUNDS)
-    told: dict[str, Step] = {}
+    steps: dict[str, Step] = {}
     while True:
         tried: list[tuple[Step, Model, Fitted]] = []
         for name, richer in richer_models(model, bounced is not None, len(config.scattering)):
-            if name in told and told[name].gain < HOPELESS:
+            if name in steps and steps[name].gain < HOPELESS:
                 continue
             found = fitted(best.scene, richer, samples, groups, bounced, config, ROUNDS, best)
             step = compared(name, best, found, samples, richer.facets.stretch != 1)
-            told[name] = step
+            steps[name] = step
             tried.append((step, richer, found))
         taken = [each for each in tried if each[0].taken]
         if not taken:
-            return best.scene, list(told.values())
+            return best.scene, list(steps.values())
         step, model, best = max(taken, key=lambda each: each[0].gain)
         for other in taken:
-            told[other[0].name] = dataclasses.replace(other[0], taken=other[0] is step)
+            steps[other[0].name] = dataclasses.replace(other[0], taken=other[0] is step)
 
 
 def left_out_groups(patterns: Sequence[str]) -> np.ndarray:
@@ -202,6 +203,22 @@ def richer_models(model: Model, bounces: bool, amounts: int) -> Iterator[tuple[s
         if (facets.stretch - 1) * (factor - 1) < 0 or abs(np.log(stretch)) > np.log(MOST_STRETCHED):
             continue
         yield name, dataclasses.replace(model, facets=dataclasses.replace(facets, stretch=stretch))
+    if facets.covers:
+        yield (
+            "all light enters",
+            dataclasses.replace(model, facets=dataclasses.replace(facets, covers=False)),
+        )
+    if facets.rises:
+        yield (
+            "mirrors alike at all angles",
+            dataclasses.replace(model, facets=dataclasses.replace(facets, rises=False)),
+        )
+    if facets.rises and not facets.tails:
+        # Either alone may predict worse: long tails stand in for what rises, and the other way.
+        yield (
+            "tails, alike at all angles",
+            dataclasses.replace(model, facets=dataclasses.replace(facets, tails=True, rises=False)),
+        )
     if bounces and not model.bounces:
         yield "light from skin to skin", dataclasses.replace(model, bounces=True)
     if model.scattering + 1 < amounts:
@@ -258,9 +275,9 @@ def fitted(
         for k, sample in enumerate(samples):
             given = _given(scene, sample, normals[k], arounds[k], config)
             normals[k] = solve_jointly(given, rounds=1).normal
-            tells = slice(0, None, 2)
-            some = _given(scene, sample, normals[k], arounds[k], config, tells)
-            evidence = gloss_evidence(some) * sample.trust[tells, None]
+            fit_from = slice(0, None, 2)
+            some = _given(scene, sample, normals[k], arounds[k], config, fit_from)
+            evidence = gloss_evidence(some) * sample.trust[fit_from, None]
             shadows = some.place.shadows
             sums += sum_at_vertices(evidence, shadows.corners, shadows.weights, len(sums))
         gloss = better_gloss(
@@ -275,12 +292,12 @@ def fitted(
         scene = dataclasses.replace(scene, gloss=gloss)
     errors = []
     for k, sample in enumerate(samples):
-        asked = slice(1, None, 2)
-        given = _given(scene, sample, normals[k], arounds[k], config, asked)
+        held = slice(1, None, 2)
+        given = _given(scene, sample, normals[k], arounds[k], config, held)
         solved = solve_jointly(given, rounds=1)
         given = dataclasses.replace(given, normals=solved.normal)
         off = held_out(given, groups).mean(axis=1)
-        good = (solved.misfit > 0) & (sample.trust[asked] > 0.5)
+        good = (solved.misfit > 0) & (sample.trust[held] > 0.5)
         errors.append(np.where(good, off, np.nan))
     return Fitted(scene, normals, errors)
 
@@ -317,7 +334,7 @@ def compared(
             model does to one side of the face would pass for it.
     """
     every = np.concatenate([x[np.isfinite(x)] for x in simple.errors])
-    # A pixel that is predicted better than most says nothing by being predicted better still.
+    # A pixel that is predicted better than most counts no more by being predicted better still.
     usual = float(np.median(every)) if len(every) else 0.0
     gains, sides = [], []
     for sample, ours, theirs in zip(samples, simple.errors, rich.errors, strict=True):

@@ -23,14 +23,14 @@ OF_PATTERN = 18
 """Numbers of a node for each pattern: terms of E and of B, light from other skin in R G B, and
 what wanders here from neighbours."""
 NORMAL, SPECULAR, MIDDLE, PRIOR, ROUGHNESS, OF_GRID = 0, 3, 4, 7, 10, 11
-"""Places, after the patterns', of what a grid's pixel tells the nodes around: its normal, specular
+"""Places, after the patterns', of what a grid's pixel gives the nodes around: its normal, specular
 albedo, the mean normal nearby, the neighbours' albedo, and roughness."""
 TURN, GLOSS, FRAME, OTHERS, OF_PLACE = 0, 2, 3, 12, 24
-"""Places, after the patterns', of what a node tells its pixels: t and u to start from, specular
+"""Places, after the patterns', of what a node gives its pixels: t and u to start from, specular
 albedo, N T U, and then mesh normal, facing, neighbours' albedo, roughness, ambient occlusion, and
 the direction to the camera."""
 RING = 7
-"""Normals around a pixel's own: the fewest that tell all terms apart and their error."""
+"""Normals around a pixel's own: the fewest that determine all terms and their error."""
 RING_TAN = 0.08
 """Tangent of the ring's angle, 4.6 deg."""
 WIDEST_TAN = 0.2
@@ -109,7 +109,7 @@ def grid_kernel(
         axis: (3, 3) float32, see `across`.
         turn: (s, 2) float32 of `turns`.
         fit: (TERMS, s) float32, least squares.
-        good: (n,) bool, cleared where there is no telling.
+        good: (n,) bool, cleared where it is not determined.
         out: (n, P OF_PATTERN + OF_GRID) float32, all but the polynomials filled in.
     """
     patterns = len(lamps.diffuse_share)
@@ -169,7 +169,7 @@ def node_kernel(
         corners, weights: (n, 3) of `Shadows`.
         lamps: the stage.
         axis: (3, 3) float32, see `across`.
-        good: (n,) bool, set where a node tells light.
+        good: (n,) bool, set where a node has light.
         out: (n, P OF_PATTERN + OF_PLACE) float32.
     """
     patterns = len(lamps.diffuse_share)

@@ -82,7 +82,9 @@ class Picture(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def read_pixel(photos: Photos, y: int, x: int, ws: np.ndarray, at: int) -> tuple[bool, float]:
-    """Put one pixel's readings into a lane; whether they can be used, and their saturation.
+    """Put one pixel's readings into a lane of the flat workspace `ws`, from `at` on.
+
+    Returns whether they can be used, and their saturation.
 
     The same as `readings.read_pixels` and division by the lights' colour.
     """
@@ -188,7 +190,7 @@ def pixel_kernel(
     maps: Maps,
     done: np.ndarray,
 ) -> None:
-    """Solve and finish the mask's pixels between safe nodes; (n,) `done` says which."""
+    """Solve and finish the mask's pixels between safe nodes; (n,) `done` marks them."""
     patterns = photos.bits.shape[0]
     height, width = picture.mask.shape
     step = nodes.step

@@ -2,8 +2,8 @@
 
 What `joint_kernels` does with light gathered for one pixel is done here in single precision with
 light that four nodes around a pixel know: a lane of the processor's vectors is a pixel. What cannot
-be solved well that way (a normal far from its nodes', an equation near singular) is said, and left
-to the other.
+be solved well that way (a normal far from its nodes', an equation near singular) is marked, and
+left to the other.
 """
 
 from __future__ import annotations

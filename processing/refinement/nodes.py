@@ -38,7 +38,7 @@ BAND_NODES = 150_000
 
 @dataclasses.dataclass(frozen=True)
 class GridKnows:
-    """What a grid's n pixels tell all of a view's.
+    """What a grid's n pixels give all of a view's.
 
     Attributes:
         view: the grid.
@@ -61,7 +61,7 @@ class GridLight:
     """How the light of a grid's pixels bends with the normal.
 
     Attributes:
-        number: (h, w) int32 row of `table`, -1 where there is nothing to tell.
+        number: (h, w) int32 row of `table`, -1 where there is none.
         table: see `node_light.grid_kernel`.
         axis: (3, 3) float32 toward the camera, right and up, see `node_light.across`.
     """
@@ -114,7 +114,7 @@ def averaged(normals: np.ndarray, sight: Sight, solved: np.ndarray) -> np.ndarra
 
 @dataclasses.dataclass(frozen=True)
 class NodeSites:
-    """Where the nodes of a view lie.
+    """The nodes of a view.
 
     Attributes:
         sight: of the nodes.
@@ -131,7 +131,7 @@ def node_sites(
     scene: Scene, camera: Camera, foreground: np.ndarray, light: GridLight, knows: GridKnows,
     config: RefineConfig,
 ) -> NodeSites:  # fmt: skip
-    """Cast the nodes' rays, and find the cells that lie on one smooth piece of skin.
+    """Cast the nodes' rays in a (h, w) foreground, and find the cells on one smooth piece of skin.
 
     Raises nothing where no cell does.
     """
@@ -141,16 +141,19 @@ def node_sites(
     number[sight.mask] = np.arange(len(sight.normals))
     rows, columns = (step * places for places in np.nonzero(sight.mask))
     grid = knows.view.sight.step
-    # The grid's pixels around a node must all tell light.
-    told = cv2.erode((light.number >= 0).astype(np.uint8), np.ones((2, 2), np.uint8), anchor=(0, 0))
-    known = told[
-        np.minimum(rows // grid, told.shape[0] - 1), np.minimum(columns // grid, told.shape[1] - 1)
+    # The grid's pixels around a node must all have light.
+    known_nodes = cv2.erode(
+        (light.number >= 0).astype(np.uint8), np.ones((2, 2), np.uint8), anchor=(0, 0)
+    )
+    known = known_nodes[
+        np.minimum(rows // grid, known_nodes.shape[0] - 1),
+        np.minimum(columns // grid, known_nodes.shape[1] - 1),
     ]
     return NodeSites(sight, number, safe_cells(number, known > 0, sight, config.depth_step_mm))
 
 
 def safe_cells(number: np.ndarray, good: np.ndarray, sight: Sight, step_mm: float) -> np.ndarray:
-    """(h - 1, w - 1) bool: cells whose four nodes are good and lie on one smooth piece of skin.
+    """(h - 1, w - 1) bool: cells whose four nodes are good and are on one smooth piece of skin.
 
     Args:
         number: (h, w) of the nodes, -1 where there is none.

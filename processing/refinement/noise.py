@@ -19,7 +19,7 @@ BINS = 12
 LEAST_PIXELS = 100
 """Of a bin of brightness."""
 LEAST = 1e-4
-"""A noise below this is not told from rounding to half floats."""
+"""A noise below this is not distinct from rounding to half floats."""
 NORMAL_MAD = 1.4826
 """A normal distribution's standard deviation over its median absolute deviation."""
 MIDDLE = 0.25
@@ -46,7 +46,7 @@ def measured_noise(
         patterns: P names.
         photographed: those that were photographed; others were made of these, and have no noise
             of their own.
-        assumed: what no photograph tells: the model's, and all of it where nothing is measured.
+        assumed: what no photograph shows: the model's, and all of it where nothing is measured.
 
     Returns:
         The noise, and whether it was measured.

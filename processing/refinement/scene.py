@@ -36,7 +36,7 @@ BAND_PIXELS = 1_000_000
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """One view's readings and what the mesh says of its n pixels.
+    """One view's readings and what the mesh gives of its n pixels.
 
     Attributes:
         sight: what the camera sees of the mesh.
@@ -186,14 +186,14 @@ def read_sight(
 
 
 def faces_camera(sight: Sight) -> np.ndarray:
-    """(n,) bool: the mesh's averaged normal looks at the camera. Elsewhere, at rims and in folds,
+    """(n,) bool: the mesh's averaged normal faces the camera. Elsewhere, at rims and in folds,
     no lobe can be reckoned with.
     """
     return np.asarray(np.einsum("nk,nk->n", sight.normals, sight.views) > 0)
 
 
 def place_of(scene: Scene, view: View, some: slice | np.ndarray = ALL) -> Place:
-    """Where a view's pixels, or some of them by their numbers, lie."""
+    """Where a view's n pixels, or some of them by a slice or (k,) numbers, are."""
     sight = view.sight
     return Place(
         sight.points_mm[some],
@@ -232,7 +232,7 @@ def given_of(
     around: Scattered,
     noise: Noise,
 ) -> Given:
-    """Some of a view's pixels with the gloss that the scene knows."""
+    """Some of a view's pixels, a slice or (k,) numbers, with (k, 3) normals and known gloss."""
     roughness, specular = gloss_of(scene, view.sight)
     return Given(
         view.rgb[some],

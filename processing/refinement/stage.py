@@ -24,8 +24,7 @@ from processing.refinement.every_pixel import solve_view
 from processing.refinement.gloss_search import find_gloss
 from processing.refinement.noise import measured_noise, times_as_noisy
 from processing.refinement.scene import Scene, View, prepare_scene, read_view
-from processing.refinement.unrefined import keep_coarse
-from processing.refinement.written import write_refined
+from processing.refinement.written import keep_coarse, write_refined
 
 
 def refine(
@@ -104,6 +103,8 @@ def refine(
         "mirror_lobe": scene.facets.name,
         "mirror_lobe_tails": scene.facets.tails,
         "mirror_lobe_stretch": round(scene.facets.stretch, 3),
+        "mirror_rises_at_grazing_angles": scene.facets.rises,
+        "diffuse_layer_below_the_mirror": scene.facets.covers,
         "light_from_skin_to_skin": bool(scene.bounces),
         "scattering": scene.scattering,
         "noise": noise,
@@ -149,7 +150,7 @@ def write_detailed(
     """Write OUT/detailed_mesh.ply, the mesh with the refined specular normals' relief.
 
     Returns:
-        Facts: its vertices, share that a camera told, height (root mean square, mm).
+        Facts: its vertices, share that a camera showed, height (root mean square, mm).
     """
     views = read_normals(folder, rig, config.coarse_confidence)
     found = displaced(mesh, views, config.detail_edge_mm, config.detail_below_mm)
@@ -163,21 +164,21 @@ def write_detailed(
 
 
 def read_normals(folder: ProcessedFolder, rig: Rig, coarse: float) -> list[NormalView]:
-    """Every view's specular normals, trusted as far as its confidence says.
+    """Every view's specular normals, trusted by their confidence.
 
     Args:
         folder: with refined maps.
         rig: its cameras.
-        coarse: confidence up to which nothing is told: coarse maps fill the mesh's holes.
+        coarse: confidence up to which nothing is measured: coarse maps fill the mesh's holes.
     """
     views = []
     for name in folder.view_ids():
         normals = folder.read_view(name, "specular_normal")
         confidence = folder.read_view(name, "confidence")
-        told = folder.read_mask(name) & (np.linalg.norm(normals, axis=2) > 0.5)
+        measured = folder.read_mask(name) & (np.linalg.norm(normals, axis=2) > 0.5)
         views.append(
             NormalView(
-                rig.camera(name), normals, np.where(told & (confidence > coarse), confidence, 0)
+                rig.camera(name), normals, np.where(measured & (confidence > coarse), confidence, 0)
             )
         )
     return views

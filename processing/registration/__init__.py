@@ -1,1 +1,1 @@
-"""Registration: the template's topology laid onto a scan, by landmarks and non-rigid ICP."""
+"""Registration: the template's topology fitted to a scan, by landmarks and non-rigid ICP."""

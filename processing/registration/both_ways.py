@@ -1,8 +1,8 @@
 """Closest points both ways, in place and direction: how what is thin and folded, ears, is drawn.
 
 What a scan has beyond a rim or down a groove is no vertex's closest point, and a thin sheet's front
-is as near as its back. So a fit that asks the mesh's vertices alone presses ears flat. Here the
-scan's points ask as well, and a turned normal counts as a distance.
+is as near as its back. So a fit that matches the mesh's vertices alone presses ears flat. Here the
+scan's points are matched as well, and a turned normal counts as a distance.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LATTICE = np.array(
     [(i, j, _SIDES - i - j) for i in range(_SIDES + 1) for j in range(_SIDES + 1 - i)], float
 )
 LATTICE /= _SIDES
-"""(15, 3) weights of a triangle's corners: the points of it that the scan's points look for."""
+"""(15, 3) weights of a triangle's corners: its points to which the scan's points are matched."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +29,7 @@ class BothWaysConfig:
     """How closest points are sought and believed."""
 
     from_mm: float = 25.0
-    """Stiffnesses of at most this ask both ways."""
+    """Stiffnesses of at most this match both ways."""
     radian_mm: tuple[float, float] = (3.0, 12.0)
     """A turn of the normal by a radian counts like so many mm: like the stiffness, within these."""
     least_mm: float = 4.0
@@ -39,7 +39,7 @@ class BothWaysConfig:
     hold: float = 0.1
     """A match holds its vertex along the surface with this share of its pull onto it."""
     around_mm: float = 12.0
-    """The scan's points within this of the mesh's part ask; the skin around it is drawn alike."""
+    """The scan's points within this of the mesh's part are matched; skin around is drawn alike."""
 
 
 class BothWays:
@@ -57,7 +57,7 @@ class BothWays:
         """Prepare.
 
         Args:
-            rest: (n, 3) mm; the chosen part lies within `around_mm` of the scan's.
+            rest: (n, 3) mm; the chosen part is within `around_mm` of the scan's.
             triangles: (t, 3).
             chosen: (n,) bool.
             areas: (n,) mm^2 of each vertex.

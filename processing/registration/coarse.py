@@ -16,7 +16,7 @@ class Coarse:
 
     Attributes:
         chosen: (k,) indices of the vertices that stay, each for its patch.
-        patch: (n,) which of them stands for each vertex.
+        patch: (n,) which of them represents each vertex.
         triangles: (t, 3) indices into `chosen`.
     """
 
@@ -30,7 +30,7 @@ def coarsened(
 ) -> Coarse:
     """Join the vertices of each cube of a grid that edges within it connect.
 
-    What merely lies close, such as one lip on the other, is not joined. Each patch is one vertex,
+    What merely is close, such as one lip on the other, is not joined. Each patch is one vertex,
     so the mesh keeps its shape but for what patches hide.
 
     Args:
@@ -40,7 +40,7 @@ def coarsened(
         kept: (m,) vertices that are joined with none: two landmarks must not become one.
 
     Returns:
-        Coarse; triangles within one patch, or between two, are gone.
+        Coarse; triangles within one patch, or between two, are removed.
     """
     count = len(vertices)
     cell = np.floor(vertices / cell_mm).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Where a person's ears are: what stands off the skin of a mesh that was laid on without its ears.
+"""Where a person's ears are: what is off the skin of a mesh that was fitted without its ears.
 
 Ears have no landmark, and ears of two people differ by more in place and size than a closest point
 can bridge. So each is found on the scan as a whole, and the template's is moved onto it by a
@@ -33,7 +33,7 @@ class EarConfig:
     """How ears are found and believed."""
 
     sought: bool = True
-    """Whether ears are looked for at all."""
+    """Whether ears are searched for at all."""
     stands_off_mm: float = 4.0
     """What is farther from the skin without ears is an ear's."""
     reach: float = 1.5
@@ -58,14 +58,14 @@ def find_ears(
     """Ears of a scan as wholes.
 
     Args:
-        vertices: (n, 3) mm of a mesh that lies on the scan but for its ears.
+        vertices: (n, 3) mm of a mesh that is on the scan but for its ears.
         triangles: (t, 3).
         ears: (n,) bool.
         target: the scan.
         config: settings.
 
     Returns:
-        Of each ear that the scan shows, its (k,) vertices and what lays them onto the scan's.
+        Of each ear that the scan shows, its (k,) vertices and their similarity to the scan's.
     """
     out: list[tuple[np.ndarray, Similarity]] = []
     if not (config.sought and ears.any() and (~ears[triangles]).any()):
@@ -84,7 +84,7 @@ def find_ears(
         for found in _parts(target.triangles, off, 1):
             raised = ear[_height(vertices[ear], skin) > config.stands_off_mm]
             place = scan.some(found[:: max(1, len(found) // config.points)])
-            pose = _laid(own.some(raised), place, config)
+            pose = _fitted_ear(own.some(raised), place, config)
             if pose is not None:
                 out.append((ear, pose))
     return out
@@ -102,7 +102,7 @@ def ears_in_place(
     Args:
         vertices: (n, 3) mm, the mesh on which the ears were found.
         triangles: (t, 3).
-        found: by `find_ears` on it.
+        found: by `find_ears` on it: (k,) vertices and their similarity.
         plate: settings.
         blend_mm: what is farther from all ears stays.
 
@@ -138,7 +138,7 @@ def _parts(triangles: np.ndarray, chosen: np.ndarray, most: int) -> list[np.ndar
 def _without(vertices: np.ndarray, triangles: np.ndarray, ears: np.ndarray) -> np.ndarray:
     """(n, 3) mm, the skin as if there were no ears: a membrane closes their places.
 
-    Each vertex of an ear lies in the mean of its neighbours. Left open, the holes' middles would be
+    Each vertex of an ear is in the mean of its neighbours. Left open, the holes' middles would be
     far from all skin, and so would the scan's skin there.
     """
     ends = directed_edges(triangles)
@@ -164,7 +164,7 @@ def _height(points: np.ndarray, skin: Target) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class _Ear:
-    """Points of a surface: (k, 3) mm, (k, 3) unit normals, (k,) mm^2 that each stands for.
+    """Points of a surface: (k, 3) mm, (k, 3) unit normals, (k,) mm^2 that each represents.
 
     Areas weigh, because a scan's ear hole may have more vertices than all else of the ear.
     """
@@ -192,8 +192,8 @@ class _Ear:
         return float(np.sqrt(np.average(squared, weights=self.areas)))
 
 
-def _laid(ear: _Ear, place: _Ear, config: EarConfig) -> Similarity | None:
-    """The similarity that lays an ear onto what stands off, looked for both ways; None if none."""
+def _fitted_ear(ear: _Ear, place: _Ear, config: EarConfig) -> Similarity | None:
+    """The similarity that fits an ear to what is off the skin, searched both ways; None if none."""
     if len(place.points) < config.least_points or len(ear.points) < LEAST_VERTICES:
         return None
     if not (ear.areas.sum() > 0 and place.areas.sum() > 0):

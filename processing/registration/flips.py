@@ -6,13 +6,13 @@ import numpy as np
 import open3d
 
 from lightstage.formats.mesh import directed_edges
-from processing.registration.laplacian import neighbour_mean
+from processing.laplacian import neighbour_mean
 from processing.registration.target import Target
 
 FOLD_COS = -0.5
 """Neighbours whose normals are more than 120 degrees apart make a fold."""
 ON_SCAN_MM = 1.0
-"""A triangle whose middle is this near the scan lies on it."""
+"""A triangle whose middle is this near the scan is on it."""
 FEATHER = (0.3, 0.1)
 """What the first ring of vertices around a fault takes of its mending, and the second."""
 
@@ -120,7 +120,7 @@ class Faults:
         Args:
             rest: (n, 3) the undeformed mesh.
             triangles: (t, 3).
-            target: the scan: a fold that lies on it, both sides outward, is the scan's own, as
+            target: the scan: a fold that is on it, both sides outward, is the scan's own, as
                 where lips meet.
         """
         self._rest, self._triangles, self._target = rest, triangles, target
@@ -144,7 +144,7 @@ class Faults:
 
 
 def against_scan(vertices: np.ndarray, triangles: np.ndarray, target: Target) -> np.ndarray:
-    """(t,) bool: triangles that lie on a scan and look into it, more than 90 degrees off.
+    """(t,) bool: triangles that are on a scan and point into it, more than 90 degrees off.
 
     Thin places count too, where the scan's other side is nearest: closed lids, lips, an ear's rim.
     """

@@ -80,7 +80,7 @@ class Matcher:
         self._at = np.full((len(hidden), 3), np.inf)
         self._found: Closest | None = None
         self._sky = np.zeros(len(hidden))
-        self.asked = 0
+        self.queried = 0
         """Vertices whose closest point was needed so far, over all rounds ..."""
         self.kept = 0
         """... and those of them that had it from a round before."""
@@ -101,11 +101,11 @@ class Matcher:
         return Matches(closest, follows, border, border_mm)
 
     def _closest(self, vertices: np.ndarray) -> Closest:
-        """Closest points, asked anew for what has moved since."""
+        """Closest points, found anew for what has moved since."""
         far = np.linalg.norm(vertices - self._at, axis=1) > self._config.unmoved_mm
         stale = np.flatnonzero(far)
         found = self._target.closest(vertices[stale])
-        self.asked += len(vertices)
+        self.queried += len(vertices)
         self.kept += len(vertices) - len(stale)
         self._at[stale] = vertices[stale]
         old = self._found

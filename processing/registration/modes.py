@@ -27,7 +27,7 @@ class ModesConfig:
     iterations: int = 20
     landmark_sigma_mm: float = 3.0
     landmark_robust_mm: float = 20.0
-    """A landmark this far away pulls a quarter as strongly as its distance asks."""
+    """A landmark this far away pulls a quarter as strongly as by its distance."""
     surface_sigma_mm: float = 3.0
     surface_samples: int = 150
     """The surface counts like so many independent points; its neighbours are not independent."""

@@ -14,10 +14,9 @@ import numpy as np
 from lightstage.commands import ProgressCallback, quiet
 from processing.registration.both_ways import BothWays, BothWaysConfig
 from processing.registration.coarse import coarsened
-from processing.registration.contradictions import contradicted
 from processing.registration.flips import Faults, corners_of, grown, mend
 from processing.registration.matches import GateConfig, Matches
-from processing.registration.plate import Plate, PlateConfig, Springs
+from processing.registration.plate import Plate, PlateConfig, Springs, contradicted
 from processing.registration.sheet import Sheet
 from processing.registration.target import Target
 
@@ -45,13 +44,13 @@ class NonrigidConfig:
     stiffnesses have put it there, and fine ones would let it creep."""
     landmark_pull: float = 50.0
     """A landmark pulls so many times as hard as the plate resists: a point on a thin plate that
-    lies on springs is held by 8 l^2, so the pull follows the stiffness l down."""
+    rests on springs is held by 8 l^2, so the pull follows the stiffness l down."""
     fine_pull: float = 2.0
     """The same where the stiffness is below the size of a landmark's own error ..."""
     fine_mm: float = 12.0
     """... and there only along the surface, which the scan knows better."""
     contradicted_mm: float = 4.0
-    """A landmark is left out if all others say it lies elsewhere by more than this ..."""
+    """A landmark is left out if all others predict it elsewhere by more than this ..."""
     contradicted_times: float = 6.0
     """... and by so many times what is usual among them ..."""
     off_surface_mm: float = 1.5
@@ -66,7 +65,7 @@ class NonrigidConfig:
     unfold_rounds: int = 5
     """At most so many further rounds undo folds and crossings at the last stiffness."""
     mend_rounds: int = 20
-    """At most so often are places that still fold or cross smoothed and looked at again."""
+    """At most so often are places that still fold or cross smoothed and checked again."""
     gate: GateConfig = dataclasses.field(default_factory=GateConfig)
     both_ways: BothWaysConfig = dataclasses.field(default_factory=BothWaysConfig)
     plate: PlateConfig = dataclasses.field(default_factory=PlateConfig)
@@ -117,7 +116,7 @@ def fit_nonrigid(
     free: np.ndarray | None = None,
     hidden: np.ndarray | None = None,
     intricate: np.ndarray | None = None,
-    asked_both_ways: np.ndarray | None = None,
+    both_ways: np.ndarray | None = None,
     in_place: np.ndarray | None = None,
     progress: ProgressCallback = quiet,
 ) -> Fit:
@@ -133,10 +132,10 @@ def fit_nonrigid(
         free: (n,) bool, vertices that never follow the scan.
         hidden: (n,) bool, vertices that follow cavities of the scan only (inside of the mouth).
         intricate: (n,) bool, vertices that follow its coarse shape only (ears).
-        asked_both_ways: (n,) bool, vertices of thin and folded parts, roughly in their places: the
+        both_ways: (n,) bool, vertices of thin and folded parts, roughly in their places: the
             scan's points draw them too.
-        in_place: (n,) bool, those of them that lie in their places to begin with. Stiffnesses that
-            do not ask both ways hold them there: landmarks nearby would carry them away.
+        in_place: (n,) bool, those of them that are in their places to begin with. Stiffnesses that
+            do not match both ways hold them there: landmarks nearby would carry them away.
         progress: called once a round.
 
     Returns:
@@ -146,7 +145,7 @@ def fit_nonrigid(
         RegistrationError: a template without area.
     """
     none = np.zeros(len(rest), bool)
-    thin = none if asked_both_ways is None else asked_both_ways
+    thin = none if both_ways is None else both_ways
     placed = none if in_place is None else in_place
     fine = Sheet.of(
         rest,
@@ -251,7 +250,7 @@ def fit_nonrigid(
         mended,
         rounds,
         max(one.plate.worst_residual for one in sheets),
-        sum(one.matcher.kept for one in sheets) / sum(one.matcher.asked for one in sheets),
+        sum(one.matcher.kept for one in sheets) / sum(one.matcher.queried for one in sheets),
     )
 
 
@@ -279,13 +278,13 @@ def _matched(
         moved[chosen] + gap[:, None] * normal,
     )
     if stiffness_mm < config.settled_below_mm:
-        # Holes and what lies beyond the scan's border are the plate's to bridge.
+        # Holes and what is beyond the scan's border are the plate's to bridge.
         loose = np.flatnonzero(~(matches.follows & followed) & ~matches.closest.border)
         held = config.hold * plate.areas[loose, None, None] * np.eye(3)
         springs.add(loose, held, moved[loose])
     here = followed[matches.border]
     border = matches.border[here]
-    # A border stands for a strip as wide as the stiffness.
+    # A border counts as a strip as wide as the stiffness.
     area = plate.areas[border]
     strip = 2 * np.maximum(area, np.sqrt(area) * stiffness_mm)
     springs.add(

@@ -70,7 +70,7 @@ class ClickedLandmarks:
     path: Path
 
     def find(self, pictures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """The file's landmarks, of whatever pictures."""
+        """The file's landmarks, of whatever (h, w[, 3]) pictures."""
         del pictures
         return read_points_px(self.path)
 
@@ -79,14 +79,14 @@ class ClickedLandmarks:
 class DetectedLandmarks:
     """The project's own face detector.
 
-    Where the template tells where the detector's points lie on it, its own landmarks are told from
-    them, those of the jaw's sides not; else the points that stand for iBUG's are taken.
+    Where the template has the places of the detector's points on it, its own landmarks are computed
+    from them, those of the jaw's sides not; else the points that represent iBUG's are taken.
     """
 
     template: Template
 
     def find(self, pictures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """The largest face's landmarks in each picture that shows one.
+        """The largest face's (68, 2) landmarks in each (h, w[, 3]) picture that shows one.
 
         Raises:
             FaceError: the detector's weights are not installed.
@@ -118,7 +118,7 @@ class CommandLandmarks:
     timeout_s: float = 600.0
 
     def find(self, pictures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """What the program prints for these pictures."""
+        """The (68, 2) landmarks that the program prints for these (h, w[, 3]) pictures."""
         with tempfile.TemporaryDirectory() as folder:
             for name, picture in pictures.items():
                 path = Path(folder) / f"{name}.png"
@@ -134,8 +134,8 @@ class CommandLandmarks:
             except (OSError, ValueError, subprocess.TimeoutExpired) as error:
                 raise self._failed(str(error)) from None
             if done.returncode:
-                said = done.stderr.strip().splitlines()
-                last = said[-1] if said else "nothing on standard error"
+                stderr = done.stderr.strip().splitlines()
+                last = stderr[-1] if stderr else "nothing on standard error"
                 raise self._failed(f"exit {done.returncode}: {last}")
             printed = Path(folder) / "landmarks.json"
             printed.write_text(done.stdout)
@@ -155,7 +155,7 @@ class CommandLandmarks:
 
 
 class FoundOnMesh(NamedTuple):
-    """Landmarks of a mesh, and how it lies.
+    """Landmarks of a mesh, and its pose.
 
     Attributes:
         landmarks: in the mesh's own axes.
@@ -172,12 +172,12 @@ def landmarks_of_mesh(
     """Landmarks of a scan that has none, from pictures rendered of it.
 
     Three grey pictures, from the front and 30 degrees to both sides: as the paper finds landmarks,
-    but with wrong ones left out where the views disagree. A face that does not look along +z with
+    but with wrong ones left out where the views disagree. A face that does not point along +z with
     +y up is sought in a picture from the front for each other turn about the axes by right angles.
 
     Args:
         mesh: mm.
-        provider: who looks at the pictures.
+        provider: which finds landmarks in the pictures.
         agree_mm: how far a ray may pass from its landmark.
         template_mm: (68, 3), the template's landmarks: what is found has their shape.
 
@@ -219,18 +219,18 @@ def landmarks_of_mesh(
     again = seen([best], SIDES_DEG)[0] if min(unlike) < UNLIKE_MM else None
     if again is not None and _unlike(again, template_mm) < UNLIKE_MM:
         return FoundOnMesh(again, best)
-    if first is not None:  # what is wrong with them is said where they are aligned
+    if first is not None:  # what is wrong with them is reported where they are aligned
         return FoundOnMesh(first, upright)
     raise RegistrationError(
         "landmarks",
         found=f"none in pictures of the mesh from the front and in {len(others)} other turns",
         expected="a face",
-        hint="Is there a face on it? Does it look along an axis of the mesh, within 30 degrees?",
+        hint="Is there a face on it? Does it point along an axis of the mesh, within 30 degrees?",
     )
 
 
 def _unlike(found: Triangulated, template_mm: np.ndarray) -> float:
-    """Median distance in mm of landmarks from the template's, laid onto them; infinite if few."""
+    """Median distance in mm of landmarks from the template's, fitted to them; infinite if few."""
     known = np.isfinite(found.points_mm).all(axis=1)
     if known.sum() < FEWEST_LANDMARKS:
         return float("inf")

@@ -30,10 +30,10 @@ MOST_POINTS = 50_000
 
 @dataclasses.dataclass(frozen=True)
 class Residual:
-    """A vertex each; NaN where the closest point lies on the scan's border: nothing faces it.
+    """A vertex each; NaN where the closest point is on the scan's border: nothing faces it.
 
     Attributes:
-        distance_mm: (n,) float32, positive where the scan lies outside the mesh.
+        distance_mm: (n,) float32, positive where the scan is outside the mesh.
         angle_deg: (n,) float32 between both normals.
     """
 
@@ -42,7 +42,7 @@ class Residual:
 
 
 def residual(scan: Mesh, vertices: np.ndarray, triangles: np.ndarray) -> Residual:
-    """Compare a registered mesh with the scan it lies on.
+    """Compare a registered mesh with the scan it is on.
 
     Args:
         scan: as it was measured.
@@ -60,9 +60,9 @@ def residual(scan: Mesh, vertices: np.ndarray, triangles: np.ndarray) -> Residua
 
 
 def scan_in_common(scan: Mesh, mesh: Mesh, areas: np.ndarray | None = None) -> dict[str, Any]:
-    """How far a scan lies from a registered mesh, over what both have.
+    """How far a scan is from a registered mesh, over what both have.
 
-    A point that lies nearest to where the mesh ends, such as one of the shoulders below a head, has
+    A point that is nearest to where the mesh ends, such as one of the shoulders below a head, has
     nothing on the mesh to be compared with.
 
     Args:
@@ -102,7 +102,7 @@ def scan_in_common(scan: Mesh, mesh: Mesh, areas: np.ndarray | None = None) -> d
 
 
 def write_residual(out: Path, found: Residual, mesh: Mesh, scan: Mesh | None = None) -> None:
-    """Write residual.npz and its pictures into a processed folder, where the report looks.
+    """Write residual.npz and its pictures into a processed folder, for the report.
 
     Args:
         out: the processed folder.
@@ -158,49 +158,49 @@ def residual_section(out: Path, facts: Mapping[str, Any] | None = None) -> Secti
     image = cv2.imread(str(path)) if path.is_file() else None
     if image is None:
         return None
-    said = (
+    caption = (
         f"Registered mesh against the scan from three sides: above the distance (brightest at "
         f"{LARGEST_MM:g} mm), below the angle between both normals (brightest at {LARGEST_DEG:g} "
         f"degrees). Grey: the scan has nothing there. Dark skin with thin bright lines at lids and "
-        "lips is as it should be. Ears are mostly yellow: the template's ear is laid on as a "
+        "lips is as it should be. Ears are mostly yellow: the template's ear is placed as a "
         "whole and keeps its own folds, since no two people's are alike, and the back of an ear "
-        "is seldom on the scan. Nostrils are yellow too, which no camera looks into, and so is "
+        "is seldom on the scan. Nostrils are yellow too, which no camera sees into, and so is "
         "where the neck ends or clothes begin. Bad would be a bright patch on the face itself, or "
-        "an ear that stands beside the person's: there the mesh did not follow, and the atlas "
+        "an ear that is beside the person's: there the mesh did not follow, and the atlas "
         "shows another place's skin."
     )
-    picture = Picture(np.ascontiguousarray(image[..., ::-1]), said, "residual", lossless=True)
+    picture = Picture(np.ascontiguousarray(image[..., ::-1]), caption, "residual", lossless=True)
     parts: list[str | Picture | Table] = [picture]
     path = out / "work" / "registration" / "scan_residual.png"
     image = cv2.imread(str(path)) if path.is_file() else None
     if image is not None:
-        said = (
+        caption = (
             f"The scan, by its distance to the registered mesh (brightest at {LARGEST_MM:g} mm): "
             "what the mesh does not reach, such as a flattened ear, is seen here alone. Grey: the "
             "mesh ends there. Ear canals and nostrils are bright, since the template has none."
         )
-        picture = Picture(np.ascontiguousarray(image[..., ::-1]), said, "scan", lossless=True)
+        picture = Picture(np.ascontiguousarray(image[..., ::-1]), caption, "scan", lossless=True)
         parts.append(picture)
-    told = facts or {}
+    known = facts or {}
     rows = [
-        (words, *(told[f"{name}_{part}_mm"] for part in ("median", "p95")))
+        (words, *(known[f"{name}_{part}_mm"] for part in ("median", "p95")))
         for name, words in DISTANCES
-        if told.get(f"{name}_median_mm") is not None
+        if known.get(f"{name}_median_mm") is not None
     ]
     if rows:
-        share = told["scan_in_common_share"]
+        share = known["scan_in_common_share"]
         parts.append(
             Table(
                 ("distance", "median, mm", "95th percentile, mm"),
                 rows,
-                f"{share:.0%} of the scan's points are compared. The others lie nearest to where "
+                f"{share:.0%} of the scan's points are compared. The others are nearest to where "
                 "the template ends: shoulders, clothes or the inside of an open mouth, which it "
                 "does not have. Hair is compared too. Where all is well the median is below 0.1 mm "
                 "and the last column below 1 mm; bad would be a median of several tenths, skin "
                 "that the template misses.",
             )
         )
-    by_area = told.get("scan_in_common_by_area") or {}
+    by_area = known.get("scan_in_common_by_area") or {}
     if by_area:
         parts.append(
             Table(

@@ -1,4 +1,4 @@
-"""A mesh prepared for non-rigid ICP: the template, or what stands for it at coarse stiffnesses."""
+"""A mesh prepared for non-rigid ICP: the template, or its coarse form at coarse stiffnesses."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Sheet:
         hidden: np.ndarray,
         stiff: np.ndarray,
     ) -> Sheet:
-        """Prepare a mesh, (n, 3) mm and (t, 3); the rest as the attributes say."""
+        """Prepare a mesh, (n, 3) mm and (t, 3); the rest as in the attributes."""
         far = np.asarray(cKDTree(rest[marks]).query(rest)[0]) if len(marks) else None
         return cls(
             rest,
@@ -93,7 +93,7 @@ class Sheet:
             (n, 3) mm.
         """
         springs = Springs.none(len(self.rest))
-        # Each stands for its patch, so all are held alike.
+        # Each represents its patch, so all are held alike.
         held = cell_mm**2 * np.tile(np.eye(3), (len(coarse.chosen), 1, 1))
         springs.add(coarse.chosen, held, moved)
         self.plate.stiffen(cell_mm / 2, springs)

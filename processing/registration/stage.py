@@ -1,4 +1,4 @@
-"""Stage `register`: landmarks, pose, shape model, non-rigid ICP; the template laid onto a scan."""
+"""Stage `register`: landmarks, pose, shape model, non-rigid ICP; the template fitted to a scan."""
 
 from __future__ import annotations
 
@@ -34,12 +34,10 @@ from processing.registration.providers import (
     CommandLandmarks,
     DetectedLandmarks,
 )
-from processing.registration.quiet import quieted
 from processing.registration.residual import residual, scan_in_common, write_residual
 from processing.registration.rigid import Similarity, robust_umeyama
-from processing.registration.sky import sky_share
 from processing.registration.start import first_pose, require_surface
-from processing.registration.target import Target
+from processing.registration.target import Target, quieted, sky_share
 from processing.splitting import unsplit
 
 CLICK = (
@@ -72,7 +70,7 @@ class RegisterConfig:
     nonrigid: NonrigidConfig = dataclasses.field(default_factory=NonrigidConfig)
     ears: EarConfig = dataclasses.field(default_factory=EarConfig)
     ears_after_mm: float = 20.0
-    """Ears are looked for when all but them was laid on with stiffnesses down to this."""
+    """Ears are searched for when all but them was fitted with stiffnesses down to this."""
 
 
 def register(
@@ -88,7 +86,7 @@ def register(
     Args:
         session: with landmarks.json in its folder, unless they are to be found in the views.
         out: processed folder with base_mesh.ply.
-        template: what is laid onto the scan.
+        template: what is fitted to the scan.
         config: settings.
         progress: called with (done, total).
 
@@ -139,7 +137,7 @@ def register(
 def _landmarks(
     session: Session, folder: ProcessedFolder, template: Template, config: RegisterConfig
 ) -> tuple[dict[str, np.ndarray], str]:
-    """Camera id to (68, 2) pixels, and who told them."""
+    """Camera id to (68, 2) pixels, and who gave them."""
     if config.landmark_command:
         finder = CommandLandmarks(config.landmark_command)
         return finder.find(_pictures(session, folder)), "program"
@@ -163,7 +161,7 @@ def _pictures(session: Session, folder: ProcessedFolder) -> dict[str, np.ndarray
     for camera in sorted(set(folder.view_ids()) & {c.id for c in session.rig.cameras}):
         if folder.view_path(camera, "diffuse_albedo").is_file():
             linear = folder.read_view(camera, "diffuse_albedo")
-        else:  # photographs that tell no normals tell no albedo either
+        else:  # photographs that give no normals give no albedo either
             linear = read_frames(folder.root, camera).brightest()
         lit = linear[folder.read_mask(camera)]
         white = max(float(np.quantile(lit, 0.99)), 1e-6) if len(lit) else 1.0
@@ -218,7 +216,7 @@ def register_mesh(
     config: RegisterConfig,
     progress: ProgressCallback = quiet,
 ) -> tuple[np.ndarray, dict[str, Any]]:
-    """Lay the template onto a scan.
+    """Fit the template to a scan.
 
     Args:
         scan: triangles in mm, world; may be a part of a head.
@@ -232,7 +230,7 @@ def register_mesh(
 
     Raises:
         RegistrationError: fewer than four landmarks or all in one plane, other units, mirrored, or
-            landmarks that do not lie on the scan.
+            landmarks that are not on the scan.
     """
     require_surface(scan)
     triangles = template.mesh.triangles()
@@ -249,7 +247,7 @@ def register_mesh(
     kept = np.flatnonzero(known & ~wrong)
     ears = _region(template, "ears")
 
-    def laid(
+    def fitted(
         start: np.ndarray, settings: NonrigidConfig, shown: ProgressCallback, **given: Any
     ) -> Fit:
         return fit_nonrigid(
@@ -267,7 +265,7 @@ def register_mesh(
     begin, found = fit.vertices, []
     both_ways, in_place = np.zeros_like(ears), np.zeros_like(ears)
     if ears.any() and config.ears.sought:
-        rough = laid(begin, config.nonrigid.down_to(config.ears_after_mm), quiet, free=ears)
+        rough = fitted(begin, config.nonrigid.down_to(config.ears_after_mm), quiet, free=ears)
         found = find_ears(rough.vertices, triangles, ears, target, config.ears)
         plate = config.nonrigid.plate
         if found:
@@ -276,12 +274,12 @@ def register_mesh(
             away = cKDTree(begin[ear]).query(begin)[0]
             both_ways |= (away <= config.nonrigid.both_ways.around_mm) & ~hidden
             in_place[ear] = True
-    result = laid(
+    result = fitted(
         begin,
         config.nonrigid,
         progress,
         intricate=ears & ~in_place,
-        asked_both_ways=both_ways | in_place,
+        both_ways=both_ways | in_place,
         in_place=in_place,
     )
     contradicted = np.zeros(len(gap), bool)

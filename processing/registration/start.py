@@ -12,7 +12,7 @@ from processing.registration.target import Target
 from processing.units import CM, METRES, MM, Unit
 
 OFF_THE_SCAN = 0.25
-"""Landmarks farther from the surface than this share of their own size do not lie on the scan."""
+"""Landmarks farther from the surface than this share of their own size are not on the scan."""
 SIZES = (0.6, 1.6)
 """Landmarks in mm are so many times as far apart as the template's."""
 SCAN_TIMES = 5.0
@@ -23,7 +23,7 @@ def require_surface(scan: Mesh) -> None:
     """Refuse a scan without a usable triangle or with vertices that are not finite.
 
     Raises:
-        RegistrationError: as said.
+        RegistrationError: see `first_pose`.
     """
     if not np.isfinite(scan.vertices).all():
         bad = int((~np.isfinite(scan.vertices)).any(axis=1).sum())
@@ -45,13 +45,13 @@ def require_surface(scan: Mesh) -> None:
 def first_pose(
     target: Target, landmarks_mm: np.ndarray, known: np.ndarray, template: Template
 ) -> Similarity:
-    """world_from_head by landmarks; refuses what cannot be aligned and says why.
+    """world_from_head by landmarks; refuses what cannot be aligned and names the reason.
 
     Args:
         target: the scan.
         landmarks_mm: (68, 3), NaN where unknown.
         known: (68,) bool.
-        template: what is laid onto it.
+        template: what is fitted to it.
 
     Returns:
         A similarity: its scale is the person's size, the scan's millimetres stay as they are.
@@ -113,7 +113,7 @@ def first_pose(
         raise RegistrationError(
             "scan",
             field="normals",
-            found="triangles that look inward",
+            found="triangles that point inward",
             expected="counter-clockwise seen from outside",
             hint="Turn its faces over in a mesh editor.",
         )
@@ -129,7 +129,7 @@ def landmarks_unit(scan: Mesh, points: np.ndarray, template: Template) -> Unit:
         template: mm.
 
     Returns:
-        mm where no unit is certain; `first_pose` says what is wrong then.
+        mm where no unit is certain; `first_pose` reports what is wrong then.
     """
     known = np.isfinite(points).all(axis=1)
     if known.sum() < 4 or not len(scan.vertices):
@@ -143,10 +143,11 @@ def landmarks_unit(scan: Mesh, points: np.ndarray, template: Template) -> Unit:
 
 
 def _require_units(target: Target, world: np.ndarray, head: np.ndarray, template: Template) -> None:
-    """Refuse other units than mm, and say whether landmarks or scan or both have them.
+    """Refuse other units than mm, and report whether landmarks or scan or both have them.
 
-    Landmarks that lie on the scan are in its units. Of those that do not, what is of the template's
-    size is right: the scan's size alone would tell little, as it may be a part of a head or a body.
+    Landmarks that are on the scan are in its units. Of those that are not, what is of the
+    template's size is right: the scan's size alone would not decide, as it may be a part of a head
+    or a body.
     """
     size = _size(world) / _size(head)
     away = np.median(target.closest(world).distance_mm)

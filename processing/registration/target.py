@@ -1,4 +1,4 @@
-"""The scan as a target: closest points, their normals, and whether they lie on its border."""
+"""The scan as a target: closest points, normals, borders; less noise; how open its places are."""
 
 from __future__ import annotations
 
@@ -8,9 +8,14 @@ import numpy as np
 import open3d
 
 from lightstage.formats.mesh import Mesh, edge_counts, vertex_normals
+from processing.laplacian import neighbour_mean
 from processing.rays import MeshRays
-from processing.registration.laplacian import neighbour_mean
-from processing.registration.sky import sky_share
+
+MOST_OF_NOISE = 2.0
+"""A vertex moves at most so many standard deviations of the noise: no relief above it is lost."""
+
+SKY_MM, SKY_DIRECTIONS = 2000.0, 100
+"""Length and number of the rays that find how open a place is."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +26,7 @@ class Closest:
         point: (n, 3) mm.
         normal: (n, 3) unit, interpolated from the vertices; zero on degenerate triangles.
         distance_mm: (n,).
-        border: (n,) the closest point lies on the surface's open border.
+        border: (n,) the closest point is on the surface's open border.
     """
 
     point: np.ndarray
@@ -103,3 +108,57 @@ def border_vertices(triangles: np.ndarray, count: int) -> np.ndarray:
     border = np.zeros(count, bool)
     border[edges[times == 1]] = True
     return border
+
+
+def sky_share(rays: MeshRays, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Share of a hundred even directions that no triangle blocks.
+
+    Args:
+        rays: the mesh.
+        points: (n, 3) on it, mm.
+        normals: (n, 3) unit, outward.
+
+    Returns:
+        (n,) in 0..1; about .5 on a convex surface.
+    """
+    # A Fibonacci sphere: even directions without a random number.
+    index = np.arange(SKY_DIRECTIONS) + 0.5
+    z = 1 - 2 * index / SKY_DIRECTIONS
+    angle = np.pi * (1 + 5**0.5) * index
+    ring = np.sqrt(1 - z**2)
+    sky = SKY_MM * np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
+    centre = points.mean(axis=0) if len(points) else np.zeros(3)
+    share: np.ndarray = rays.visible(points, normals, centre + sky).mean(axis=1)
+    return share
+
+
+def quieted(scan: Mesh, rounds: int) -> Mesh:
+    """The scan with its vertices moved along their normals, where they stand out from both rings.
+
+    Each round subtracts B B v, B = (I - mean of neighbours) / 2: it takes what alternates from
+    vertex to vertex and leaves what bends evenly, which one B alone would flatten [Taubin1995].
+
+    Args:
+        scan: triangles, mm.
+        rounds: how often.
+
+    Returns:
+        A mesh of the same triangles; borders stay.
+    """
+    triangles = scan.triangles()
+    target = Target(scan)
+    if rounds < 1 or not len(target.triangles):
+        return scan
+    limit = MOST_OF_NOISE * target.noise_mm()
+    mean = neighbour_mean(target.triangles, len(scan.vertices))
+    stays = border_vertices(target.triangles, len(scan.vertices))
+    stays[np.setdiff1d(np.arange(len(stays)), target.triangles)] = True
+    normals = target.normals
+    away = np.zeros(len(scan.vertices))
+    for _ in range(rounds):
+        moved = scan.vertices + away[:, None] * normals
+        for _ in range(2):
+            moved = 0.5 * (moved - mean @ moved)
+        away = np.clip(away - np.einsum("nk,nk->n", moved, normals), -limit, limit)
+        away[stays] = 0
+    return Mesh(scan.vertices + away[:, None] * normals, triangles)

@@ -1,1 +1,1 @@
-"""Diffuse and specular told apart without a mesh: the stage `separate` and its methods."""
+"""Diffuse and specular separated without a mesh: the stage `separate` and its methods."""

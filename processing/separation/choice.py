@@ -25,7 +25,7 @@ METHODS: dict[str, Method] = {
 }
 ONLY_NORMALS: dict[str, tuple[str, ...]] = {"mux": ()}
 ONLY_RELIEF: dict[str, tuple[str, ...]] = {"mux": ("diffuse",), "ratios": ("diffuse",)}
-"""Methods that have no choice of normals, and what they may be told."""
+"""Methods that have no choice of normals, and the settings they take."""
 
 
 def chosen_method(lights: PatternLights, config: SeparateConfig) -> str:
@@ -52,25 +52,25 @@ def chosen_method(lights: PatternLights, config: SeparateConfig) -> str:
             hint="Leave the method to `auto`, or capture the sequence that it needs.",
         )
     for option, known in (("normals", ONLY_NORMALS), ("specular_normals", ONLY_RELIEF)):
-        asked = getattr(config, option)
-        if asked not in ("auto", *known.get(method, (asked,))):
+        wanted = getattr(config, option)
+        if wanted not in ("auto", *known.get(method, (wanted,))):
             raise ProcessingError(
                 "configuration",
                 field=f"separate.{option}",
-                found=asked,
+                found=wanted,
                 expected=", ".join(("auto", *known[method])) + f" with the method {method}",
                 hint="It has no others.",
             )
     return method
 
 
-def tell_normals(session: Session, patterns: tuple[str, ...]) -> bool:
-    """Whether a session's photographs under P lit patterns tell normals by any method."""
+def give_normals(session: Session, patterns: tuple[str, ...]) -> bool:
+    """Whether a session's photographs under P lit patterns give normals by any method."""
     return bool(fitting_methods(pattern_lights(session, patterns)))
 
 
 def no_normals(patterns: Sequence[str]) -> ProcessingError:
-    """What to tell of photographs whose patterns no method separates."""
+    """Warnings of photographs whose patterns no method separates."""
     return ProcessingError(
         "session.json",
         field="sequence",

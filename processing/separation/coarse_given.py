@@ -36,7 +36,7 @@ class Window(NamedTuple):
 
 
 class Model(NamedTuple):
-    """What pixels are solved against: one camera's far field, and what is asked of a reading.
+    """What pixels are solved against: one camera's far field, and what a reading requires.
 
     Attributes:
         diffuse, lobe, leaving: of `FarTables`, the first two flat.

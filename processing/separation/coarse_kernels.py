@@ -2,7 +2,7 @@
 
 Each row of blocks (some pixels square) is one task, so that sums over blocks need no lock. A run of
 pixels is loaded eight at a time: eight patterns of eight readings each are turned by the processor,
-so that a pixel's patterns lie beside each other.
+so that a pixel's patterns are beside each other.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def put(
     sums: np.ndarray,
     maps: Maps,
 ) -> None:
-    """Keep one pixel's result, and add it to its block's sums (SUMS + 1)."""
+    """Keep one pixel's flat result `out`, and add it to its block's (SUMS + 1,) sums."""
     if not found:
         out[LENGTH] = 0
         blank(maps, at)

@@ -66,7 +66,7 @@ def solve_pixel(
     signal: np.ndarray,
     out: np.ndarray,
 ) -> bool:
-    """Solve one pixel; false when nothing can be told.
+    """Solve one pixel; false when it is not determined.
 
     Args:
         rgb: flat readings over `scale`: (3, LANES) of the first eight patterns from `first` on, and
@@ -76,8 +76,9 @@ def solve_pixel(
         place: of the pixel, mm.
         model: that it is solved against.
         signal: (2, groups * LANES) flat: what was solved, and the lobe of the normal found.
-        out: normal (3), confidence, weighed, weight, lit (3), power, mirror times irradiance,
-            |rho n|, which is 0 where the pixel before was not solved, cell, and weights (3).
+        out: flat: normal (3,), confidence, weighed, weight, lit (3), power, mirror times
+            irradiance, |rho n|, which is 0 where the pixel before was not solved, cell, and weights
+            (3).
     """
     diffuse, lobe, leaving, groups = model.diffuse, model.lobe, model.leaving, model.groups
     radius, white, part, limits = model.radius, model.white, model.part, model.limits
@@ -122,7 +123,7 @@ def solve_pixel(
         store(signal, k * LANES, s)
         ss = ss + s * s
 
-    # From where the pixel before it ended: most lie in the same cell.
+    # From where the pixel before it ended: most are in the same cell.
     nx, ny, nz, length = out[0], out[1], out[2], out[LENGTH]
     if length == zero:
         nx, ny, nz = vx, vy, vz
@@ -204,7 +205,7 @@ def solve_pixel(
         mirrored = mirrored + m * (balance_r * red + balance_g * green + balance_b * blue)
     found = totals(ee, eb, bb, es, lit_r, lit_g, lit_b, mirrored)
     glossy = lane(found, 7)
-    power, both, own, told = lane(found, 0), lane(found, 1), lane(found, 2), lane(found, 3)
+    power, both, own, explained = lane(found, 0), lane(found, 1), lane(found, 2), lane(found, 3)
     r, g, b = lane(found, 4) * to_r, lane(found, 5) * to_g, lane(found, 6) * to_b
     found = totals(ss, noise, none, none, none, none, none, none)
     read = lane(found, 0)
@@ -212,7 +213,7 @@ def solve_pixel(
         return False
     per_power = one / power
     share = both * per_power
-    misfit = math.sqrt(max(zero, one - told * per_power * (told / read)))
+    misfit = math.sqrt(max(zero, one - explained * per_power * (explained / read)))
     fits = min(one, max(zero, (np.float32(0.4) - misfit) / np.float32(0.3)))
     facing = min(one, max(zero, nv / np.float32(0.3)))
     out[0], out[1], out[2] = nx, ny, nz

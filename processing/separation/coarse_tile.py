@@ -253,7 +253,7 @@ def near_tile(
 
 @njit(cache=True, fastmath=FAST, forceinline=True)
 def leaves(leaving: np.ndarray, facing: Any) -> tuple[float, float]:
-    """What leaves the skin near a cosine to the camera: at 0, and how it grows."""
+    """What leaves the skin near a cosine to the camera, by a (k,) table: at 0, and its slope."""
     steps = np.float32(len(leaving) - 1)
     place = min(np.float32(1), max(facing, np.float32(GRAZING))) * steps
     below = min(len(leaving) - 2, int(place))
@@ -269,7 +269,7 @@ def store_eight(
     at: int,
     maps: Maps,
 ) -> None:
-    """Keep eight pixels that lie beside each other in the maps."""
+    """Keep eight pixels that are beside each other in the maps, from flat rows of LANES numbers."""
     red, green = load(kept, base), load(kept, base + TILE)
     store_triples(
         maps.normal.reshape(maps.normal.size), 3 * at, red, green, load(kept, base + 2 * TILE)
@@ -292,7 +292,7 @@ def keep_one(
     at: int,
     maps: Maps,
 ) -> None:
-    """Keep one pixel of a tile, zeros where it cannot be used."""
+    """Keep one pixel of a tile from flat rows of LANES numbers, zeros where it cannot be used."""
     if not good:
         blank(maps, at)
         return

@@ -1,6 +1,6 @@
 """The coarse method where pixels are finer than what skin mirrors: tiles of 8 x 8 pixels.
 
-A tile's mean is solved as one pixel is (`coarse_pixel`): it tells which lights its normals see, how
+A tile's mean is solved as one pixel is (`coarse_pixel`): it gives which lights its normals see, how
 they mirror and how far they can be trusted. With these its pixels' own normals and albedo are sums
 over patterns, eight pixels at a time. A pixel whose normal is far from its tile's is solved by
 itself.
@@ -55,7 +55,7 @@ def _ray(
 
 @njit(parallel=True, cache=True, fastmath=FAST)
 def solve_tiles(window: Window, model: Model, sums: np.ndarray, maps: Maps) -> None:
-    """What `solve_window` does, and takes, by tiles; block is a multiple of a tile's sides.
+    """What `solve_window` does, and takes (shapes too), by tiles; block is a multiple of a side.
 
     The window is at least eight pixels wide.
     """

@@ -1,6 +1,6 @@
 """Method `colour`: chroma's normals, specular albedo by least squares on skin's lobe.
 
-Coarse: no mesh, no shadows. A pixel is taken to lie where its ray passes the sphere's centre, so
+Coarse: no mesh, no shadows. A pixel is taken to be where its ray passes the sphere's centre, so
 that most of what the lights' finite distance does is known without a mesh.
 """
 
@@ -46,7 +46,7 @@ class Readings:
         origin: row and column of the window's first pixel in the picture of the rays.
         rays: (gh, gw, 3) float32 unit directions from the camera, at every `step_px` pixels.
         step_px: see there.
-        camera_mm: (3,) where the camera is; the origin itself takes every pixel to lie there.
+        camera_mm: (3,) where the camera is; the origin itself takes every pixel to be there.
         px_per_mm: pixels a millimetre at the sphere's centre.
     """
 
@@ -110,7 +110,7 @@ def window_readings(
     origin: tuple[int, int],
     camera: Camera,
 ) -> Readings:
-    """Readings of a window of one camera's picture; see Readings for the arguments."""
+    """Readings of a window of one camera's picture: (P, h, w, 3) values, (h, w) mask and valid."""
     step_px = max(1, int(RAY_STEP_RAD * camera.fx_px))
     rays = camera_rays(camera, step_px)
     where, fine = camera.centre_mm, px_per_mm(camera)
@@ -118,7 +118,7 @@ def window_readings(
 
 
 def separate_window(readings: Readings, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
-    """Separate a window of one view's frames, which may lie on the disk: it is read once, in rows.
+    """Separate a window of one view's frames, which may be on the disk: it is read once, in rows.
 
     Normals come from chroma, which holds no mirror reflection; specular albedo from least squares
     on the lobe model, pooled over neighbours; diffuse albedo from what the lobe leaves.

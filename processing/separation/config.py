@@ -1,4 +1,4 @@
-"""What the stage `separate` may be told."""
+"""Settings of the stage `separate`."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class MuxConfig:
 
 @dataclasses.dataclass(frozen=True)
 class SeparateConfig:
-    """What `separate` may be told."""
+    """Settings of `separate`."""
 
     method: Literal["auto", "colour", "kampouris", "ratios", "polarised", "linear", "mux"] = "auto"
     """`auto`: by what the session's patterns are."""
@@ -81,9 +81,9 @@ class SeparateConfig:
     albedo_prior_power: float = 0.005
     """Weight of the neighbours' albedo against a pixel's squared irradiance (2 in the open)."""
     grey_saturation: float = 0.05
-    """Below this saturation colour tells nothing; from twice as much it is trusted."""
+    """Below this saturation colour has no weight; from twice as much it has full weight."""
     dark_level: float = 0.004
-    """A pixel whose brightest pattern stays below this tells nothing (1 = white under `full`)."""
+    """A pixel whose brightest pattern stays below this is not used (1 = white under `full`)."""
     specular_normals: Literal["auto", "mirror", "detail", "diffuse"] = "auto"
     """Specular normals of `colour`, `linear` and `polarised`: from mirror directions, their relief
     on the diffuse normals, or the diffuse normals themselves. `auto`: the best of each method."""

@@ -195,7 +195,7 @@ def _mirror(
     for i in prange(len(mirrored)):
         nx, ny, nz = mirrored[i, 0] + view[0], mirrored[i, 1] + view[1], mirrored[i, 2] + view[2]
         length = math.sqrt(nx * nx + ny * ny + nz * nz)
-        if length < 1e-3:  # the mirror looks along the camera's own ray: no normal does that
+        if length < 1e-3:  # the mirror faces along the camera's own ray: no normal does that
             continue
         nx, ny, nz = nx / length, ny / length, nz / length
         toward = _one_side(max(nx * view[0] + ny * view[1] + nz * view[2], 1e-3), roughness)

@@ -45,24 +45,26 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
 
     Source: [Kampouris2018].
     """
-    told = config.kampouris
+    options = config.kampouris
     pairs = axis_pairs(lights.patterns)
     views, mask = pixels.views, pixels.mask
     rgb, _, saturation, usable = read_pixels(
         pixels.rgb, pixels.valid, lights.colour, config.dark_level
     )
     rgb /= lights.colour.astype(np.float32)
-    specular, vector, diffuse = published_parts(rgb, pairs, told)
-    if told.pool_mm > 0:
-        specular = blurred(specular[:, None], usable, mask, told.pool_mm * pixels.px_per_mm)[:, 0]
+    specular, vector, diffuse = published_parts(rgb, pairs, options)
+    if options.pool_mm > 0:
+        specular = blurred(specular[:, None], usable, mask, options.pool_mm * pixels.px_per_mm)[
+            :, 0
+        ]
     if config.normals != "auto":
         diffuse = normal_signal(rgb, config.normals)[:, pairs.ravel()]
-    normal = pair_normals(diffuse, lights, pairs, views, told.field, config.iterations)
+    normal = pair_normals(diffuse, lights, pairs, views, options.field, config.iterations)
     solved = usable & (np.einsum("nk,nk->n", normal, normal) > 0.5)
     colourful = np.clip(saturation / config.grey_saturation - 1, 0, 1)
     solved &= colourful > 0
     albedo = np.maximum(
-        flat_albedo(rgb, lights, pairs, normal, views, specular, told.field, config.roughness), 0
+        flat_albedo(rgb, lights, pairs, normal, views, specular, options.field, config.roughness), 0
     )
     facets = normal
     if (relief := relief_of("kampouris", config)) != "diffuse":

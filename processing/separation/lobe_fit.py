@@ -1,7 +1,7 @@
 """Albedo, gloss and specular normals of one view once its diffuse normals are known.
 
 The lobe's width and the specular albedo are those that leave least of the readings unexplained,
-pooled over neighbours; what the diffuse part leaves then says which way the facets turn.
+pooled over neighbours; what the diffuse part leaves then shows which way the facets turn.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ def table_lobe(
 
 @njit(cache=True)
 def width_place(grid: np.ndarray, m: float) -> tuple[int, float]:
-    """Layer of the table below a lobe width, and part of the way to the next."""
+    """Layer of a (k,) grid of lobe widths below m, and part of the way to the next."""
     layer = 0
     while layer < len(grid) - 2 and m > grid[layer + 1]:
         layer += 1

@@ -28,7 +28,7 @@ def matte_normals(
     config: SeparateConfig,
     shares: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Normals by the lights of the patterns, from where the pixels lie, about.
+    """Normals by the lights of the patterns, from where the pixels are, about.
 
     Args:
         signal: (n, P) readings of diffuse light.

@@ -1,11 +1,11 @@
 """Specular normals from mirror directions: which way a facet turns that mirrors what was seen.
 
 A facet that mirrors the direction r into the camera at v has the normal of r + v. Ratios of the
-specular light of a pair do not give r as it is: a lobe that lies on one side of the splitting plane
-says no more than that, so that the ratio saturates like a step seen through the lobe. Here the step
-is undone: the lobe of skin's width is summed over the stage's own lights for every r, and each
-pixel takes the r whose light under all patterns is what it shows. Where that tells little, because
-of noise, the normal stays where the diffuse one is.
+specular light of a pair do not give r as it is: a lobe on one side of the splitting plane
+gives no more than that, so that the ratio saturates like a step seen through the lobe. Here the
+step is undone: the lobe of skin's width is summed over the stage's own lights for every r, and each
+pixel takes the r whose light under all patterns is what it shows. Where that decides little,
+because of noise, the normal stays where the diffuse one is.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def mirror_normals(
 
 @njit(cache=True)
 def two_across(n: np.ndarray, across: np.ndarray, up: np.ndarray) -> None:
-    """Fill two unit directions across a unit normal and each other."""
+    """Fill (3,) two unit directions across a (3,) unit normal and each other."""
     if abs(n[2]) < 0.9:
         length = math.sqrt(n[0] ** 2 + n[1] ** 2)
         across[0], across[1], across[2] = -n[1] / length, n[0] / length, 0.0
@@ -107,7 +107,7 @@ def two_across(n: np.ndarray, across: np.ndarray, up: np.ndarray) -> None:
 def turn_by(
     n: np.ndarray, across: np.ndarray, up: np.ndarray, a: float, b: float, out: np.ndarray
 ) -> None:
-    """The normal n turned by tangents a and b."""
+    """The (3,) normal n turned by tangents a and b along (3,) directions, into (3,) `out`."""
     for k in range(3):
         out[k] = n[k] + a * across[k] + b * up[k]
     length = math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
@@ -175,7 +175,7 @@ def _mirror(
                 a = b = information = 0.0
                 break
             s = shown / power
-            # Derivatives with the albedo left free: what lies along the lobe itself is no turn.
+            # Derivatives with the albedo left free: what is along the lobe itself is no turn.
             along_a = along_b = 0.0
             for k in range(count):
                 along_a += weight[i, k] * here[k] * (right[k] - left[k])

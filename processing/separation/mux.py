@@ -2,7 +2,7 @@
 
 Where every light is red, green or blue, each colour channel of the two shots shows one gradient and
 its complement: x in red, y in green, z in blue. A ratio within one channel needs no albedo, and
-three of them determine a normal. Saturation says nothing here, since the colours are the lights',
+three of them determine a normal. Saturation has no use here, since the colours are the lights',
 so that the specular part is that of the lobe model which explains all six readings best.
 """
 
@@ -39,7 +39,7 @@ LONGEST_TURN = 0.1
 TRIALS = (0.0, 0.015, 0.03, 0.045, 0.06)
 """Specular albedos that are tried, evenly spaced."""
 ONE_PLANE = 1e-6
-"""Planes of ratios that lie this near to one another determine no normal."""
+"""Planes of ratios that are this near to one another determine no normal."""
 
 
 def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
@@ -109,7 +109,7 @@ def mux_normals(
         iterations: of the horizon.
 
     Returns:
-        (n, 3) float64 unit normals, zero where unsolved; (n,) how far off the planes they lie: the
+        (n, 3) float64 unit normals, zero where unsolved; (n,) how far off the planes they are: the
         root mean square of the sine of the angle to them.
     """
     normal = np.array(start, np.float64)
@@ -290,8 +290,8 @@ def _specular(
 ) -> np.ndarray:
     """(n,) specular albedo that leaves the planes the least apart, over a neighbourhood.
 
-    How far off its planes a normal lies grows with what is wrong of the specular part; a parabola
-    through the squares around the smallest tells where between the trials they vanish.
+    A normal's distance off its planes grows with the error of the specular part; a parabola
+    through the squares around the smallest gives where between the trials they vanish.
 
     Args:
         rgb: (n, P, 3) readings.

@@ -46,7 +46,7 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
     brightness = rgb.mean(axis=2)[:, crossed]
     filtered = None if camera is None else diffuse_shares(lights, camera)
     mirror = lights if camera is None else mirror_lights(lights, camera)
-    noise, told = noise_of(part, config.noise), config.polarised
+    noise, options = noise_of(part, config.noise), config.polarised
 
     def solved(signal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         shares = None if filtered is None else filtered[:, crossed]
@@ -55,11 +55,11 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
     normal, trust = solved(signal)
     if camera is not None and part != "chroma" and usable.any():
         # What facets turn of the reflection passes a crossed lens: a typical skin's is taken off.
-        table = lobe_table(mirror, views[usable].mean(axis=0), told.roughness)
+        table = lobe_table(mirror, views[usable].mean(axis=0), options.roughness)
         leak = table_lobe(table, normal, views, config.roughness)[:, crossed]
-        normal, trust = solved(signal - np.float32(told.specular_prior) * leak)
+        normal, trust = solved(signal - np.float32(options.specular_prior) * leak)
     shares = None if filtered is None else filtered[cells_of(normal)]
     relief = relief_of("polarised", config)
     return maps_by_lobe(
-        pixels, rgb, normal, trust, lights, mirror, config.noise, relief, told, shares
+        pixels, rgb, normal, trust, lights, mirror, config.noise, relief, options, shares
     )

@@ -34,17 +34,19 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
 
     Source: [Ma2007], [Wilson2010].
     """
-    told = config.ratios
+    options = config.ratios
     pairs = axis_pairs(lights.patterns)
     views = pixels.views
     rgb, _, _, usable = read_pixels(pixels.rgb, pixels.valid, lights.colour, config.dark_level)
     rgb /= lights.colour.astype(np.float32)
     part = "mean" if config.normals == "auto" else config.normals
     signal = normal_signal(rgb, part)[:, pairs.ravel()]
-    normal = pair_normals(signal, lights, pairs, views, told.field, config.iterations)
+    normal = pair_normals(signal, lights, pairs, views, options.field, config.iterations)
     solved = usable & (np.einsum("nk,nk->n", normal, normal) > 0.5)
-    specular = np.where(solved, told.specular, 0.0)
-    albedo = flat_albedo(rgb, lights, pairs, normal, views, specular, told.field, config.roughness)
+    specular = np.where(solved, options.specular, 0.0)
+    albedo = flat_albedo(
+        rgb, lights, pairs, normal, views, specular, options.field, config.roughness
+    )
     normal = np.where(solved[:, None], normal, 0)
     albedo = np.where(solved[:, None], np.maximum(albedo, 0), 0)
     facing = np.clip(np.einsum("nk,nk->n", normal, views) / 0.3, 0, 1)

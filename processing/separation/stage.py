@@ -28,7 +28,7 @@ DIM = 0.15
 """Median reading of the face under its brightest pattern, of white, below which noise and not
 patterns or lamps may be what hides the normals: dark skin reads about .07, light skin .4."""
 COLOUR_SPREAD = 0.02
-"""Lights whose colours differ by more than this are worth a warning."""
+"""Lights whose colours differ by more than this get a warning."""
 
 
 def separate(
@@ -41,7 +41,7 @@ def separate(
         ill-posed (eyes, teeth, grey hair, rims: confidence below .5), warnings.
 
     Raises:
-        ProcessingError: patterns that no method, or not the one asked for, can separate; more than
+        ProcessingError: patterns that no method, or not the chosen one, can separate; more than
             `MOST_ILL_POSED` of the face ill-posed though it is well lit.
     """
     folder = ProcessedFolder(out)
@@ -85,8 +85,8 @@ def separate(
             found=found,
             expected=f"at most {100 * MOST_ILL_POSED:g} %",
             hint="Do the photographs show the patterns that session.json names, and do the rig's "
-            "lights stand where it says? `lightstage check SESSION` and views/CAMERA/"
-            "confidence.exr show more. --force goes on.",
+            "lamps where it has them? `lightstage check SESSION` and views/CAMERA/"
+            "confidence.exr show more. --force continues.",
         )
         if dim < DIM:
             warnings.append(

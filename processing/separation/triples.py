@@ -1,4 +1,4 @@
-"""Eight pixels' red, green and blue, which lie interleaved in a picture, as three `Lanes`."""
+"""Eight pixels' red, green and blue, which are interleaved in a picture, as three `Lanes`."""
 
 from __future__ import annotations
 

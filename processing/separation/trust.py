@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit, prange
 
 POSED = 1e-9
-"""A system whose determinant is below this share of its mean diagonal cubed says nothing."""
+"""A system whose determinant is below this share of its mean diagonal cubed is not solved."""
 GRAZING_SHARE = 0.3
 """Confidence falls with the cosine to the camera below this."""
 

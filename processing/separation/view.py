@@ -10,8 +10,8 @@ from processing.lighting.lights import PatternLights
 from processing.readings import px_per_mm
 from processing.separation import colour
 from processing.separation.choice import METHODS, used_patterns
-from processing.separation.chroma import maps_by_chroma
 from processing.separation.config import SeparateConfig, relief_of
+from processing.separation.linear import maps_by_chroma
 from processing.separation.view_readings import Pixels
 from processing.view_maps import PixelMaps
 
@@ -65,6 +65,6 @@ def separate_view(
 
 
 def _plain(config: SeparateConfig) -> bool:
-    """Whether `colour` is asked for what its one pass over the frames does."""
+    """Whether `colour` is configured for what its one pass over the frames does."""
     plain = config.specular_normals in ("auto", "diffuse")
     return plain and config.normals in ("auto", "chroma")

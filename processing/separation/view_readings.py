@@ -19,7 +19,7 @@ class Pixels:
         views: (n, 3) unit, toward the camera.
         mask: (h, w) bool with n true pixels.
         px_per_mm: pixels a millimetre at the sphere's centre.
-        camera: whose view it is; without it every pixel lies at the sphere's centre, and of
+        camera: whose view it is; without it every pixel is at the sphere's centre, and of
             polarisers only the ideal is known.
     """
 
@@ -32,7 +32,7 @@ class Pixels:
 
     @property
     def points_mm(self) -> np.ndarray | None:
-        """(n, 3) where the rays pass the sphere's centre; None where the camera is not told.
+        """(n, 3) where the rays pass the sphere's centre; None where the camera is not given.
 
         A face fills the middle of the stage, so that this is right within some centimetres.
         """

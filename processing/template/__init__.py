@@ -1,1 +1,1 @@
-"""Templates that people already have: imported, looked through, and maps carried between them."""
+"""Templates that people already have: imported, checked, and maps carried between them."""

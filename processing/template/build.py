@@ -12,7 +12,7 @@ from lightstage.formats.png import write_png
 from lightstage.formats.template import Modes, Template, save_template
 from processing.atlas.finish import gutter_sources
 from processing.atlas.raster import Raster, rasterise
-from processing.registration.laplacian import neighbour_mean
+from processing.laplacian import neighbour_mean
 from processing.template.config import SHININESS, TRANSLUCENCY, ImportConfig
 
 MARKER = "template.json"
@@ -36,7 +36,7 @@ def with_maps(
         name: of the template.
         mesh: head frame, mm, UV in one tile.
         landmarks: (68,) vertices.
-        regions: by name, vertices.
+        regions: by name, (k,) vertices.
         modes: where there are any.
         licence: the mesh's.
         source: where the mesh is from.
@@ -68,7 +68,7 @@ def write_template(template: Template, out: Path, config: ImportConfig) -> Path:
 
 
 def map_raster(mesh: Mesh, config: ImportConfig) -> Raster:
-    """Where a template's mesh lies in its maps."""
+    """Where a template's mesh is in its maps."""
     assert mesh.uvs is not None  # whoever imports a mesh has made sure of it
     rows = config.map_rows
     return rasterise(mesh.uvs, mesh.triangle_uvs(), rows, rows * 2 // 3)

@@ -29,7 +29,7 @@ from processing.template.regions import joined_to
 from processing.template.uv_faults import islands, mirrored, overlapping, stretch_of
 
 KEPT = 0.95
-"""Share of the skin that is distorted less than what is told of it."""
+"""Share of the skin that is distorted less than the reported figure."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,13 +38,13 @@ class Finding:
 
     Attributes:
         name: short, the same for the same fault.
-        said: a sentence for the user.
+        text: a sentence for the user.
         triangles: (k,) indices of the triangles that have it; may be empty.
         unusable: whether the template cannot be used.
     """
 
     name: str
-    said: str
+    text: str
     triangles: np.ndarray
     unusable: bool = False
 
@@ -55,7 +55,7 @@ NOWHERE = np.zeros(0, int)
 def check_template(
     template: Template, config: CheckConfig | None = None
 ) -> tuple[list[Finding], dict[str, Any]]:
-    """Look a template through.
+    """Check a template.
 
     Args:
         template: as `load_template` reads it, which refuses what is no template at all.
@@ -74,7 +74,7 @@ def check_template(
     }
     for part in (_surface, _texture, _landmarks, _regions_and_maps, _modes):
         part(template, settings, found, facts)
-    facts["findings"] = {each.name: each.said for each in found}
+    facts["findings"] = {each.name: each.text for each in found}
     return sorted(found, key=lambda each: not each.unusable), facts
 
 
@@ -82,18 +82,18 @@ def _surface(
     template: Template, config: CheckConfig, found: list[Finding], facts: dict[str, Any]
 ) -> None:
     vertices, triangles = template.mesh.vertices, template.mesh.triangles()
-    _told(found, "non-manifold edges", crowded_edges(triangles),
+    _add(found, "non-manifold edges", crowded_edges(triangles),
           "{} of edges that more than two triangles have")  # fmt: skip
-    _told(found, "faces turned over", turned_against(triangles),
+    _add(found, "faces turned over", turned_against(triangles),
           "{} that face the other way than a neighbour")  # fmt: skip
-    _told(found, "no area", slivers(vertices, triangles), "{} without area on the surface")
+    _add(found, "no area", slivers(vertices, triangles), "{} without area on the surface")
     loose = not_joined(vertices, triangles, config.joined_mm)
-    _told(found, "not joined", loose[triangles].any(axis=1),
-          "{} at borders that lie on other borders and are not joined to them")  # fmt: skip
+    _add(found, "not joined", loose[triangles].any(axis=1),
+          "{} at borders that are on other borders and are not joined to them")  # fmt: skip
     unused = len(vertices) - len(np.unique(triangles))
     if unused:
-        said = f"{counted(unused, 'vertex', 'vertices')} in no face"
-        found.append(Finding("unused vertices", said, NOWHERE))
+        text = f"{counted(unused, 'vertex', 'vertices')} in no face"
+        found.append(Finding("unused vertices", text, NOWHERE))
     with_marks = joined_to(template.landmarks, triangles, len(vertices))
     several = borders(vertices, triangles)
     facts["open_borders"] = len(several)
@@ -105,8 +105,8 @@ def _surface(
         inside = np.zeros(len(vertices), bool)
         for border in holes:
             inside[border.vertices] = True
-        said = f"{counted(len(holes), 'open border')} that are not neck, eyes or mouth"
-        found.append(Finding("holes", said, np.flatnonzero(inside[triangles].any(axis=1))))
+        text = f"{counted(len(holes), 'open border')} that are not neck, eyes or mouth"
+        found.append(Finding("holes", text, np.flatnonzero(inside[triangles].any(axis=1))))
     part = connected(directed_edges(triangles), len(vertices))
     facts["parts"] = len(np.unique(part[triangles]))
 
@@ -117,36 +117,36 @@ def _texture(
     mesh = template.mesh
     shared, share = overlapping(mesh, config.uv_rows)
     facts["uv_overlap_share"] = share
-    _told(found, "UV overlap", shared, "{} that share texels with others")
+    _add(found, "UV overlap", shared, "{} that share texels with others")
     whole, over, flat = mirrored(mesh)
     island = islands(mesh)
     facts["uv_islands"] = int(island.max()) + 1
     facts["uv_islands_mirrored"] = len(np.unique(island[whole]))
-    _told(found, "mirrored islands", whole, "{} in islands that the texture shows mirrored")
-    _told(found, "UV turned over", over, "{} turned over within their island")
+    _add(found, "mirrored islands", whole, "{} in islands that the texture shows mirrored")
+    _add(found, "UV turned over", over, "{} turned over within their island")
     if flat.all():
         found.append(Finding("no UV area", "no triangle has an area in the texture",
                              np.flatnonzero(flat), unusable=True))  # fmt: skip
         return
-    _told(found, "no UV area", flat, "{} without area in the texture")
+    _add(found, "no UV area", flat, "{} without area in the texture")
     stretch = stretch_of(mesh, config.texture_rows)
     skin = _skin(template)
     angle, area, texel = stretch.of(skin, KEPT)
-    told = {
+    figures = {
         "skin_angle_p95_deg": angle,
         "skin_area_p95_times": area,
         "skin_angle_median_deg": stretch.of(skin, 0.5)[0],
         "skin_texel_mm": texel,
     }
-    facts |= {name: value for name, value in told.items() if np.isfinite(value)}
+    facts |= {name: value for name, value in figures.items() if np.isfinite(value)}
     if angle > config.stretch_angle_deg or area > config.stretch_area:
         bad = skin & ~(stretch.angle_deg <= config.stretch_angle_deg)
         with np.errstate(invalid="ignore"):
             times = (stretch.texel_mm / texel) ** 2
         bad |= skin & ~((times < config.stretch_area) & (times > 1 / config.stretch_area))
-        said = f"5 % of the skin has angles distorted by more than {angle:.0f} deg, or more than "
-        said += f"{area:.1f} times as many or as few texels as the median"
-        found.append(Finding("stretch", said, np.flatnonzero(bad)))
+        text = f"5 % of the skin has angles distorted by more than {angle:.0f} deg, or more than "
+        text += f"{area:.1f} times as many or as few texels as the median"
+        found.append(Finding("stretch", text, np.flatnonzero(bad)))
 
 
 def _landmarks(
@@ -158,58 +158,58 @@ def _landmarks(
     used[triangles] = True
     around = np.zeros(len(vertices), bool)
 
-    def told(name: str, some: np.ndarray, said: str, unusable: bool = False) -> None:
+    def add(name: str, some: np.ndarray, text: str, unusable: bool = False) -> None:
         around[:] = False
         around[marks[some]] = True
         numbers = ", ".join(str(each) for each in some[:10]) + (" .." if len(some) > 10 else "")
         where = np.flatnonzero(around[triangles].any(axis=1))
-        found.append(Finding(name, f"landmarks {numbers}: {said}", where, unusable))
+        found.append(Finding(name, f"landmarks {numbers}: {text}", where, unusable))
 
     loose = np.flatnonzero(~used[marks])
     if len(loose):
-        told("landmarks off the surface", loose, "on vertices that no face uses", True)
+        add("landmarks off the surface", loose, "on vertices that no face uses", True)
     order = np.unique(marks, return_counts=True)
     twice = np.flatnonzero(np.isin(marks, order[0][order[1] > 1]))
     if len(twice):
-        told("landmarks on one vertex", twice, "on a vertex that another one has, too")
+        add("landmarks on one vertex", twice, "on a vertex that another one has, too")
     own = own_template()
     wanted, given = own.mesh.vertices[own.landmarks], vertices[marks]
     spread = np.linalg.svd(given - given.mean(axis=0), compute_uv=False)
     if spread[2] < 0.02 * spread[0]:
-        told("landmarks in a plane", np.arange(68), "all in one plane, so that no pose can be "
+        add("landmarks in a plane", np.arange(68), "all in one plane, so that no pose can be "
              "found", True)  # fmt: skip
         return
     likeness = umeyama(given, wanted, scale=True, reflect=True)
     away = np.linalg.norm(likeness.apply(given) - wanted, axis=1)
     facts["landmarks_median_mm"] = float(np.median(away))
     if np.linalg.det(likeness.rotation) < 0 or np.median(away) > config.largest_misfit_mm:
-        told("landmarks of no face", np.arange(68), "mirrored, or not in iBUG's order", True)
+        add("landmarks of no face", np.arange(68), "mirrored, or not in iBUG's order", True)
         return
     far = np.flatnonzero(away > config.landmark_mm)
     if len(far):
-        told("landmarks elsewhere", far, f"more than {config.landmark_mm:g} mm from where our "
+        add("landmarks elsewhere", far, f"more than {config.landmark_mm:g} mm from where our "
              "template has them")  # fmt: skip
     turned = np.rad2deg(np.arccos(np.clip((np.trace(likeness.rotation) - 1) / 2, -1, 1)))
     size = 1 / likeness.scale
     if turned > config.axes_deg:
-        said = f"the face is turned by {turned:.0f} deg against the head frame (+y up, +z ahead)"
-        found.append(Finding("axes", said, NOWHERE))
+        text = f"the face is turned by {turned:.0f} deg against the head frame (+y up, +z ahead)"
+        found.append(Finding("axes", text, NOWHERE))
     if not config.smallest_size <= size <= config.largest_size:
-        said = f"the face is {size:.3g} times as large as usual: is the mesh in mm?"
-        found.append(Finding("size", said, NOWHERE, unusable=True))
+        text = f"the face is {size:.3g} times as large as usual: is the mesh in mm?"
+        found.append(Finding("size", text, NOWHERE, unusable=True))
     normals = vertex_normals(vertices, triangles)[marks]
     outward = vertex_normals(own.mesh.vertices, own.mesh.triangles())[own.landmarks]
     agree = np.einsum("nk,nk->n", normals @ likeness.rotation.T, outward)
     if np.median(agree) < -0.5:
-        said = "its triangles run clockwise seen from outside, so that it is inside out"
-        found.append(Finding("inside out", said, NOWHERE, unusable=True))
+        text = "its triangles run clockwise seen from outside, so that it is inside out"
+        found.append(Finding("inside out", text, NOWHERE, unusable=True))
         return
     hidden = ~open_to_sky(vertices, triangles, config.least_open_sky)
-    # A fold, such as a mouth's corner, is narrow; what lies under skin is so with its neighbours.
+    # A fold, such as a mouth's corner, is narrow; what is under skin is so with its neighbours.
     hidden &= ~grown(~hidden, triangles, config.hidden_rings)
     under = np.flatnonzero(hidden[marks] & used[marks])
     if len(under):
-        told("landmarks under skin", under, "inside of mouth or nose, or under another part")
+        add("landmarks under skin", under, "inside of mouth or nose, or under another part")
 
 
 def _regions_and_maps(
@@ -221,25 +221,25 @@ def _regions_and_maps(
         found.append(Finding("regions missing", f"no {', '.join(missing)}", NOWHERE))
     unknown = sorted(set(template.regions) - set(REGIONS))
     if unknown:
-        said = f"{', '.join(unknown)}: no stage reads such regions"
-        found.append(Finding("regions unknown", said, NOWHERE))
+        text = f"{', '.join(unknown)}: no stage reads such regions"
+        found.append(Finding("regions unknown", text, NOWHERE))
     everywhere = np.concatenate(
         [np.unique(some) for some in template.regions.values()] or [NOWHERE]
     )
     numbers, times = np.unique(everywhere, return_counts=True)
     several = np.zeros(len(template.mesh.vertices), bool)
     several[numbers[times > 1].astype(int)] = True
-    _told(found, "regions overlap", several[template.mesh.triangles()].all(axis=1),
+    _add(found, "regions overlap", several[template.mesh.triangles()].all(axis=1),
           "{} in two regions at once")  # fmt: skip
     for name, image in template.maps.items():
         rows, columns = image.shape[:2]
         if image.ndim != 2 or abs(rows * 2 - columns * 3) > 3:
-            said = f"{name} has {rows} x {columns} texels, not rows:columns = 3:2"
-            found.append(Finding("maps", said, NOWHERE))
+            text = f"{name} has {rows} x {columns} texels, not rows:columns = 3:2"
+            found.append(Finding("maps", text, NOWHERE))
         low, high = {"translucency": (0.0, 1.0)}.get(name, (0.0, np.inf))
         if image.min() < low or image.max() > high:
-            said = f"{name} goes from {image.min():.3g} to {image.max():.3g}, beyond its range"
-            found.append(Finding("maps", said, NOWHERE))
+            text = f"{name} goes from {image.min():.3g} to {image.max():.3g}, beyond its range"
+            found.append(Finding("maps", text, NOWHERE))
 
 
 def _modes(
@@ -252,17 +252,17 @@ def _modes(
         return
     for name, some in (("identity", modes.identity), ("expression", modes.expression)):
         if not np.isfinite(some).all():
-            said = f"{name} modes have NaN or infinity"
-            found.append(Finding("modes not finite", said, NOWHERE, unusable=True))
+            text = f"{name} modes have NaN or infinity"
+            found.append(Finding("modes not finite", text, NOWHERE, unusable=True))
             return
         still = [str(k) for k, mode in enumerate(some) if not mode.any()]
         if still:
-            said = f"{name} {', '.join(still[:10])} move nothing"
-            found.append(Finding("modes without effect", said, NOWHERE))
+            text = f"{name} {', '.join(still[:10])} move nothing"
+            found.append(Finding("modes without effect", text, NOWHERE))
     twice = len(modes.expression_names) - len(set(modes.expression_names))
     if twice:
-        said = f"{counted(twice, 'name')} of expressions stand twice"
-        found.append(Finding("names twice", said, NOWHERE))
+        text = f"{counted(twice, 'name')} of expressions stand twice"
+        found.append(Finding("names twice", text, NOWHERE))
     rest, triangles = template.mesh.vertices, template.mesh.triangles()
     moved = [
         (f"identity {k} at {sign * config.identity_deviations:+g}",
@@ -280,17 +280,17 @@ def _modes(
     facts["modes_that_fold"] = by_name
     if by_name:
         worst = sorted(by_name, key=lambda name: -by_name[name])[:5]
-        said = ", ".join(f"{name} ({by_name[name]})" for name in worst)
-        said = f"{counted(len(by_name), 'mode')} of {len(moved)} fold triangles: {said}"
-        said += " .." if len(by_name) > len(worst) else ""
-        found.append(Finding("modes that fold", said, np.flatnonzero(folded)))
+        text = ", ".join(f"{name} ({by_name[name]})" for name in worst)
+        text = f"{counted(len(by_name), 'mode')} of {len(moved)} fold triangles: {text}"
+        text += " .." if len(by_name) > len(worst) else ""
+        found.append(Finding("modes that fold", text, np.flatnonzero(folded)))
 
 
-def _told(found: list[Finding], name: str, chosen: np.ndarray, said: str) -> None:
+def _add(found: list[Finding], name: str, chosen: np.ndarray, template: str) -> None:
     """Add a finding where there is any."""
     count = int(chosen.sum())
     if count:
-        text = said.format(counted(count, "triangle"))
+        text = template.format(counted(count, "triangle"))
         found.append(Finding(name, text, np.flatnonzero(chosen)))
 
 
@@ -328,7 +328,7 @@ def require_usable(path: Path, found: list[Finding]) -> None:
         raise ProcessingError(
             path,
             field=bad[0].name,
-            found=bad[0].said,
+            found=bad[0].text,
             expected="a template that can be used",
-            hint="docs/template.md says what each finding means.",
+            hint="docs/template.md explains each finding.",
         )

@@ -20,7 +20,7 @@ from lightstage.counting import counted
 from lightstage.formats.access import group_of, limited_access
 from processing.errors import ProcessingError
 
-app = make_app("Templates people already have: import them, look for faults, carry maps over.")
+app = make_app("Templates people already have: import them, find faults, carry maps over.")
 
 Overwrite = typer.Option(False, "--overwrite", help="Replace a template that is there.")
 UnitOption = typer.Option(
@@ -70,7 +70,7 @@ def import_obj_command(
         show_default="by our own template",
     ),
     unit: str | None = UnitOption,
-    licence: str = typer.Option("", "--licence", help="Of the mesh, as the template says it."),
+    licence: str = typer.Option("", "--licence", help="Of the mesh, as the template states it."),
     overwrite: bool = Overwrite,
     as_json: bool = JsonFlag,
 ) -> None:
@@ -111,15 +111,15 @@ def check_command(
     shape = load_template(template)
     found, facts = check_template(shape)
     for each in found:
-        print(f"warning: {each.name}: {each.said}", file=sys.stderr)
+        print(f"warning: {each.name}: {each.text}", file=sys.stderr)
     if picture is not None:
         write_png(picture, draw(shape, found))
     require_usable(template, found)
-    said = f"{len(found)} findings" if found else "nothing found"
-    told = ("skin_angle_p95_deg", "skin_area_p95_times", "skin_texel_mm", "uv_overlap_share",
+    summary = f"{len(found)} findings" if found else "nothing found"
+    shown = ("skin_angle_p95_deg", "skin_area_p95_times", "skin_texel_mm", "uv_overlap_share",
             "open_borders")  # fmt: skip
-    said += "".join(f", {name} {facts[name]:.3g}" for name in told if name in facts)
-    finish(f"{template}: {said}", {"template": str(template), **facts}, as_json)
+    summary += "".join(f", {name} {facts[name]:.3g}" for name in shown if name in facts)
+    finish(f"{template}: {summary}", {"template": str(template), **facts}, as_json)
 
 
 @app.command("transfer")
@@ -149,7 +149,7 @@ def transfer_command(
         None, "--rows", min=6, max=16384, help="Of the new maps.", show_default="each map's own"
     ),
     config: Path | None = typer.Option(
-        None, "--config", help="TOML file; its table [register] lays the templates on each other."
+        None, "--config", help="TOML file; its table [register] fits the templates to each other."
     ),
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace maps that are there."),
     as_json: bool = JsonFlag,
@@ -188,9 +188,9 @@ def transfer_command(
             person = from_mesh or next((path for path in beside if path.is_file()), None)
             pair = registered_pair(one, other, person, register, settings, progress)
         facts = transfer(maps, pair, out, rows, settings, progress)
-    said = f"{counted(len(facts['maps']), 'map')}, {facts['carried_share']:.1%} of the texture "
-    said += f"carried, surfaces {facts['distance_median_mm']:.3g} mm apart (median)"
-    finish(f"{out}: {said}", {"out": str(out), **facts}, as_json)
+    summary = f"{counted(len(facts['maps']), 'map')}, {facts['carried_share']:.1%} of the texture "
+    summary += f"carried, surfaces {facts['distance_median_mm']:.3g} mm apart (median)"
+    finish(f"{out}: {summary}", {"out": str(out), **facts}, as_json)
 
 
 def _finish_import(
@@ -201,12 +201,14 @@ def _finish_import(
     if passed:
         named = ", ".join(passed[:5]) + (" .." if len(passed) > 5 else "")
         print(f"warning: passed over {named}: neither identity nor expression", file=sys.stderr)
-    said = f"{facts['vertices']} vertices, unit {facts['unit']}"
+    summary = f"{facts['vertices']} vertices, unit {facts['unit']}"
     if "identity_modes" in facts:
-        said += f", {facts['identity_modes']} identity and {facts['expression_modes']} expression "
-        said += "modes"
-    said += "; " + ", ".join(f"{name} {count}" for name, count in sizes.items())
-    finish(f"{out}: {said}", {"out": str(out), **facts, "region_vertices": sizes}, as_json)
+        summary += (
+            f", {facts['identity_modes']} identity and {facts['expression_modes']} expression "
+        )
+        summary += "modes"
+    summary += "; " + ", ".join(f"{name} {count}" for name, count in sizes.items())
+    finish(f"{out}: {summary}", {"out": str(out), **facts, "region_vertices": sizes}, as_json)
 
 
 def _unit(name: str | None) -> Any:

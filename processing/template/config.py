@@ -13,17 +13,17 @@ class ImportConfig:
     """How a template is made of somebody's mesh."""
 
     landmark_gap_mm: float = 4.0
-    """A landmark given as a point lies at most this far from the vertex that stands for it."""
+    """A landmark given as a point is at most this far from the vertex that represents it."""
     smallest_size: float = SMALLEST
     largest_size: float = LARGEST
     largest_misfit_mm: float = 12.0
     """Median distance of the landmarks to ours after the best similarity, at most."""
     region_gap_mm: float = 10.0
-    """A vertex this far from our template, laid onto the mesh, is beyond it: shoulders."""
+    """A vertex this far from our template, fitted to the mesh, is beyond it: shoulders."""
     region_angle_deg: float = 80.0
     """A vertex whose normal is so far from our template's is in no region."""
     region_stiffness_mm: float = 10.0
-    """Regions need no more than our template laid on with stiffnesses down to this."""
+    """Regions need no more than our template fitted with stiffnesses down to this."""
     least_open_sky: float = 0.08
     """What sees less than this share of all directions is the inside of mouth or nose: no skin."""
     gap_rings: int = 4
@@ -50,11 +50,11 @@ class CheckConfig:
     """What counts as a fault of a template."""
 
     uv_rows: int = 3072
-    """Overlaps are looked for at the texels of a texture of so many rows."""
+    """Overlaps are searched for at the texels of a texture of so many rows."""
     texture_rows: int = 6144
-    """Of the atlas, by whose texels sizes are told."""
+    """Of the atlas, whose texels are the unit of sizes."""
     least_open_sky: float = 0.08
-    """A landmark that sees less than this share of all directions lies under other skin ..."""
+    """A landmark that sees less than this share of all directions is under other skin ..."""
     hidden_rings: int = 2
     """... where all vertices within so many rings around it see as little."""
     joined_mm: float = 1e-3
@@ -68,7 +68,7 @@ class CheckConfig:
     smallest_size: float = SMALLEST
     largest_size: float = LARGEST
     landmark_mm: float = 25.0
-    """A landmark this far from our template's, after the best similarity, is told."""
+    """A landmark this far from our template's, after the best similarity, is reported."""
     largest_misfit_mm: float = 20.0
     """Registration refuses landmarks whose median distance is larger."""
     axes_deg: float = 20.0
@@ -76,7 +76,7 @@ class CheckConfig:
     identity_deviations: float = 2.0
     """Identity modes are tried at so many standard deviations either way."""
     stretch_angle_deg: float = 60.0
-    """Angles of skin in the texture are told where 5 % of it are distorted by more ..."""
+    """Angles of skin in the texture are reported where 5 % of it are distorted by more ..."""
     stretch_area: float = 4.0
     """... and areas where 5 % of it have so many times more or fewer texels than the median."""
 
@@ -90,7 +90,7 @@ class TransferConfig:
     angle_deg: float = 75.0
     """Normals of the two surfaces at one place differ by less."""
     radian_mm: float = 10.0
-    """Among vertices that lie near a vertex, one whose normal is turned by a radian counts as so
+    """Among vertices that are near a vertex, one whose normal is turned by a radian counts as so
     much farther."""
     neighbours: int = 24
     """A vertex that the other template lacks goes as so many of the nearest that it has."""

@@ -1,4 +1,4 @@
-"""Which place of one mesh each point of another is, where both lie on the same face."""
+"""Which place of one mesh each point of another is, where both are on the same face."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from processing.template.config import TransferConfig
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
 FACING = 0.25
-"""Least cosine of a triangle's normal to an axis for it to be looked for along that axis."""
+"""Least cosine of a triangle's normal to an axis for it to be searched along that axis."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Surface:
         """The closest places whose normals agree.
 
         Lips and lids touch, so that the closest place may be on the other one: where the normals
-        disagree, only triangles are asked that face along the axis nearest to the normal.
+        disagree, only triangles are searched that face along the axis nearest to the normal.
 
         Args:
             points: (n, 3) mm, finite.
@@ -76,12 +76,12 @@ class Surface:
         wrong = np.flatnonzero(~(self._agreement(face, weights, normals) >= least))
         along = np.argmax(normals[wrong] @ AXES.T, axis=1)
         for number, (some, scene) in enumerate(self._facing):
-            asked = wrong[along == number]
-            if scene is None or not len(asked):
+            queried = wrong[along == number]
+            if scene is None or not len(queried):
                 continue
-            again = scene.query(points[asked])
-            face[asked] = some[again.face]
-            weights[asked], away[asked] = again.barycentric, again.distance_mm
+            again = scene.query(points[queried])
+            face[queried] = some[again.face]
+            weights[queried], away[queried] = again.barycentric, again.distance_mm
         there = self._agreement(face, weights, normals) >= least
         there &= away <= self._config.farthest_mm
         return Places(face, weights, away, there)
@@ -93,12 +93,12 @@ class Surface:
 
 
 def carried_vertices(
-    laid: Mesh, person: np.ndarray, other: Mesh, config: TransferConfig
+    placed: Mesh, person: np.ndarray, other: Mesh, config: TransferConfig
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where another template's vertices are on a person.
 
     Args:
-        laid: the first template, laid onto the other one.
+        placed: the first template, fitted to the other one.
         person: (n, 3) mm, the first template's vertices on the person.
         other: the other template's mesh.
         config: settings.
@@ -109,11 +109,11 @@ def carried_vertices(
     """
     triangles = other.triangles()
     normals = vertex_normals(other.vertices, triangles)
-    places = Surface(laid, config).places(other.vertices, normals)
+    places = Surface(placed, config).places(other.vertices, normals)
     known = places.there
     if not known.any():
         return other.vertices.copy(), known
-    out = places.of(person, laid.triangles())
+    out = places.of(person, placed.triangles())
     pose = umeyama(other.vertices[known], out[known], scale=True)
     moved = out - pose.apply(other.vertices)
     count = min(config.neighbours, int(known.sum()))

@@ -1,6 +1,6 @@
 """Somebody's mesh in the head frame: mm, +y up, +z out of the face, origin between the ears.
 
-Axes and origin are our own template's: the mesh is laid onto it by the 68 landmarks, rigidly, so
+Axes and origin are our own template's: the mesh is fitted to it by the 68 landmarks, rigidly, so
 that shapes and maps of people registered to either template compare.
 """
 

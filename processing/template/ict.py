@@ -38,7 +38,7 @@ class IctModel:
 
     Attributes:
         folder: FaceXModel.
-        mesh: the mean face; UV tiles lie beside each other along u.
+        mesh: the mean face; UV tiles are beside each other along u.
         materials: (m,) name of each face's material, "" where none was named.
         landmarks: (68,) int64 vertices in iBUG's order.
         identity: (k, n, 3) float32 offsets, one for each identity mesh in the order of the numbers.

@@ -27,7 +27,7 @@ SOURCE = (
     "https://github.com/ICT-VGL/ICT-FaceKit"
 )
 EAR_TILE = (0.12, 0.44, 0.72)
-"""An ear lies in these parts of the face's tile: u from its border, v from and to."""
+"""An ear is in these parts of the face's tile: u from its border, v from and to."""
 
 
 def import_ict(
@@ -41,7 +41,7 @@ def import_ict(
 
     Skin, sockets and eyeballs are kept, in the order of ICT's vertices. Left out is what only a
     transparent renderer can show (irises within the eyeballs, lacrimal fluid, eye blend and
-    occlusion, lashes), and, unless asked for, gums, tongue and teeth, which no scan of a closed
+    occlusion, lashes), and, unless wanted, gums, tongue and teeth, which no scan of a closed
     mouth moves.
 
     Args:
@@ -56,8 +56,8 @@ def import_ict(
 
     Raises:
         FormatError: see `read_ict`; a release without the materials that are known, or UV that
-            does not lie in tiles.
-        RegistrationError: our template cannot be laid onto it, which tells lips, ears and hair.
+            is not in tiles.
+        RegistrationError: our template, which gives lips, ears and hair, cannot be fitted to it.
     """
     settings = config or ImportConfig()
     model = read_ict(path)
@@ -92,8 +92,8 @@ def import_ict(
     regions["ears"] = np.flatnonzero(_ears(model)[vertices])
     for name in ("lips", "hair"):
         regions[name] = np.setdiff1d(regions[name], regions["ears"])
-    told = ("lips", "ears", "hair", "eyes")
-    others = np.concatenate([regions[name] for name in told])
+    known = ("lips", "ears", "hair", "eyes")
+    others = np.concatenate([regions[name] for name in known])
     regions["skin"] = np.setdiff1d(np.flatnonzero(surface), others)
     turn = motion.scale * motion.rotation.T
     modes = None

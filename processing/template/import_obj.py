@@ -39,7 +39,7 @@ def import_obj(
         landmarks: JSON, see `read_landmarks`.
         config: settings.
         unit: of the mesh; None finds it by its size.
-        regions: JSON, see `read_regions`; without it our own template says them.
+        regions: JSON, see `read_regions`; without it our own template gives them.
         licence: of the mesh.
         progress: called with (done, total).
 
@@ -49,7 +49,7 @@ def import_obj(
     Raises:
         FormatError: a mesh without UV or with UV outside of one tile, landmarks that are not 68 on
             the mesh, of no face, or of no face's size in the unit.
-        RegistrationError: our template cannot be laid onto it, where regions are not given.
+        RegistrationError: our template cannot be fitted to it, where regions are not given.
     """
     settings = config or ImportConfig()
     mesh = read_mesh(path)

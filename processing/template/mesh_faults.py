@@ -70,7 +70,7 @@ def slivers(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def not_joined(vertices: np.ndarray, triangles: np.ndarray, joined_mm: float) -> np.ndarray:
-    """(n,) bool: vertices of open borders that lie where another vertex of a border lies.
+    """(n,) bool: vertices of open borders that are where another vertex of a border is.
 
     Programs that cut a mesh along the borders of its texture leave such.
     """

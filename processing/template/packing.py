@@ -15,7 +15,7 @@ from lightstage.errors import FormatError
 from processing.atlas.raster import rasterise
 
 ROWS, COLUMNS = 768, 512
-"""Of the grid in which room is looked for."""
+"""Of the grid in which room is searched for."""
 GAP = 2
 """Cells around a part that stay free: 16 texels at 6144 rows, the atlas's gutter."""
 UPPER, LOWER = (1.0, 2 / 3, 0.0, 1 / 3), (1.0, 1 / 3, 0.0, 0.0)
@@ -27,10 +27,10 @@ SMALLEST = 0.02
 
 
 def tile_of(uv: np.ndarray, where: Path, name: str) -> np.ndarray:
-    """(2,) the tile in which all of (n, 2) texture coordinates lie.
+    """(2,) the tile in which all of (n, 2) texture coordinates are.
 
     Raises:
-        FormatError: they lie in several.
+        FormatError: they are in several.
     """
     tile = np.floor((uv.min(axis=0) + uv.max(axis=0)) / 2)
     local = uv - tile
@@ -58,7 +58,7 @@ def packed(
         uvs: (k, 2); a row belongs to one part.
         triangle_uvs: (t, 3) into them.
         part: (t,) of each triangle: 0 the face, 1 the head behind it, from 2 the small ones.
-        area_mm2: of each part's surface, by its number: how large its tile should be.
+        area_mm2: (parts,) of each part's surface, by its number: how large its tile should be.
         where: the mesh's file, for errors.
         names: of the parts.
 
@@ -66,7 +66,7 @@ def packed(
         (k, 2) in 0..1; rows that no triangle uses are 0.
 
     Raises:
-        FormatError: a part's UV lies in more than one tile, or there is no room.
+        FormatError: a part's UV is in more than one tile, or there is no room.
     """
     out = np.zeros_like(uvs)
     free = np.ones((ROWS, COLUMNS), bool)

@@ -98,8 +98,8 @@ def _legend(
               f"{template.name}: nothing found")]  # fmt: skip
     for each in found:
         number = next((k for k, other in enumerate(shown) if other is each), None)
-        told = f"{each.name}: {each.said}" + (" (cannot be used)" if each.unusable else "")
-        lines.append((number, told))
+        line = f"{each.name}: {each.text}" + (" (cannot be used)" if each.unusable else "")
+        lines.append((number, line))
     image = np.full((24 * len(lines) + 12, width, 3), 255, np.uint8)
     for row, (number, text) in enumerate(lines):
         y = 24 * row + 20

@@ -1,7 +1,7 @@
 """Which vertices of somebody's mesh are skin, lips, eyes, ears and hair.
 
-Where the mesh's maker does not say it, our own template is laid onto the mesh, roughly, and each
-vertex is in the region of the place of ours that comes to lie there.
+Where the mesh's maker does not give them, our own template is fitted to the mesh, roughly, and each
+vertex is in the region of the place of ours that is nearest then.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def guessed_regions(
     ears: bool = True,
     progress: ProgressCallback = quiet,
 ) -> dict[str, np.ndarray]:
-    """Regions by our own template laid onto a mesh.
+    """Regions by our own template fitted to a mesh.
 
     Args:
         mesh: head frame, mm.
@@ -49,14 +49,14 @@ def guessed_regions(
         own: our template.
         config: settings.
         surface: (n,) bool, vertices that may be skin; None takes all parts that have a landmark.
-        ears: lay ears on as wholes, which takes half of the time; else their region is empty.
+        ears: fit ears as wholes, which takes half of the time; else their region is empty.
         progress: called with (done, total).
 
     Returns:
         By each name of `REGIONS`, sorted vertices; a region may be empty.
 
     Raises:
-        RegistrationError: our template cannot be laid onto the mesh.
+        RegistrationError: our template cannot be fitted to the mesh.
     """
     vertices, triangles = mesh.vertices, mesh.triangles()
     chosen = joined_to(landmarks, triangles, len(vertices)) if surface is None else surface
@@ -67,14 +67,14 @@ def guessed_regions(
         nonrigid=settings.nonrigid.down_to(config.region_stiffness_mm),
         ears=dataclasses.replace(settings.ears, sought=ears),
     )
-    laid, _ = register_mesh(Mesh(vertices, outer), vertices[landmarks], own, rough, progress)
+    placed, _ = register_mesh(Mesh(vertices, outer), vertices[landmarks], own, rough, progress)
     normals = vertex_normals(vertices, outer)
-    laid_normals = vertex_normals(laid, own.mesh.triangles())
+    laid_normals = vertex_normals(placed, own.mesh.triangles())
     # Nearest in place and direction: the two sides of a lip or an ear are close to each other.
     radian_mm = settings.ears.radian_mm
-    tree = cKDTree(np.concatenate([laid, radian_mm * laid_normals], axis=1))
+    tree = cKDTree(np.concatenate([placed, radian_mm * laid_normals], axis=1))
     there = np.asarray(tree.query(np.concatenate([vertices, radian_mm * normals], axis=1))[1])
-    near = np.linalg.norm(laid[there] - vertices, axis=1)
+    near = np.linalg.norm(placed[there] - vertices, axis=1)
     agree = np.einsum("nk,nk->n", normals, laid_normals[there])
     open_air = open_to_sky(vertices, triangles, config.least_open_sky)
     beyond = near > config.region_gap_mm
@@ -82,7 +82,7 @@ def guessed_regions(
     known &= agree >= np.cos(np.deg2rad(config.region_angle_deg))
     out = {}
     for name in REGIONS:
-        of_ours = np.zeros(len(laid), bool)
+        of_ours = np.zeros(len(placed), bool)
         of_ours[own.regions.get(name, np.zeros(0, int))] = True
         out[name] = np.flatnonzero(known & of_ours[there])
     # Shoulders, which our template does not have, are skin.
@@ -110,7 +110,7 @@ def _closed(chosen: np.ndarray, triangles: np.ndarray, rings: int) -> np.ndarray
 def eyeballs(
     vertices: np.ndarray, landmarks: np.ndarray, triangles: np.ndarray, config: ImportConfig
 ) -> np.ndarray:
-    """(n,) bool: vertices of parts without a landmark that lie wholly around an eye."""
+    """(n,) bool: vertices of parts without a landmark that are wholly around an eye."""
     part = connected(directed_edges(triangles), len(vertices))
     far = np.full(len(vertices), np.inf)
     for eye in EYES:

@@ -64,7 +64,9 @@ def sampled(
 def nearest(
     image: np.ndarray, covered: np.ndarray, uv: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same of the nearest covered texel of the four around, for numbers that have no mean."""
+    """The same, with its shapes, of the nearest covered texel of the four around, for numbers
+    that have no mean.
+    """
     rows, columns = covered.shape
     x, y = uv[:, 0] * columns - 0.5, (1 - uv[:, 1]) * rows - 0.5
     left, top = np.floor(x).astype(int), np.floor(y).astype(int)

@@ -29,14 +29,14 @@ from processing.template.resample import nearest, sampled
 MASK = "mask.png"
 MESH = "registered_mesh.obj"
 COUNTED = {"view": -1.0, "filled": 0.0, "coverage": 0.0, "skin": 0.0}
-"""Maps of numbers that have no mean, and what stands where nothing is."""
+"""Maps of numbers that have no mean, and their values where nothing is."""
 CHUNK = 1 << 20
 """Texels that are looked up at a time."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Pair:
-    """Two meshes that lie on the same face: where maps are carried along.
+    """Two meshes that are on the same face: where maps are carried along.
 
     Attributes:
         first: the first template's topology and UV.
@@ -55,7 +55,7 @@ class Pair:
 
 @dataclasses.dataclass(frozen=True)
 class Grid:
-    """Texels of the new texture and where they lie in the old one.
+    """Texels of the new texture and where they are in the old one.
 
     Attributes:
         raster: of the new texture.
@@ -76,7 +76,7 @@ class Grid:
 
 
 def pair_of_meshes(first: Path, second: Path, one: Template, other: Template) -> Pair:
-    """Two meshes of one person, as they lie.
+    """Two meshes of one person, in one frame.
 
     Raises:
         FormatError: one is not of its template's topology.
@@ -93,20 +93,20 @@ def registered_pair(
     config: TransferConfig,
     progress: ProgressCallback = quiet,
 ) -> Pair:
-    """The first template laid onto the other one.
+    """The first template fitted to the other one.
 
     Args:
         one: whose texture maps are in.
         other: whose texture they go to.
-        person: a mesh of the first template's topology on the person; tells tangents and the other
+        person: a mesh of the first template's topology on the person; gives tangents and the other
             template's mesh on that person.
-        register: how the first is laid onto the other.
+        register: how the first is fitted to the other.
         config: settings.
         progress: called with (done, total).
 
     Raises:
         FormatError: the person's mesh is not of the template's topology.
-        RegistrationError: the templates cannot be laid onto each other.
+        RegistrationError: the templates cannot be fitted to each other.
     """
     given = None if person is None else read_of(person, one).vertices
     whole, triangles = other.mesh, other.mesh.triangles()
@@ -114,11 +114,11 @@ def registered_pair(
     scan = Mesh(whole.vertices, triangles[outer[triangles].all(axis=1)])
     marks = whole.vertices[other.landmarks]
     vertices, facts = register_mesh(scan, marks, one, register, progress)
-    laid = one.mesh.with_vertices(vertices)
+    placed = one.mesh.with_vertices(vertices)
     if given is None:
-        return Pair(laid, whole, vertices, whole.vertices, facts)
-    places, _ = carried_vertices(laid, given, whole, config)
-    return Pair(laid, whole, given, places, facts)
+        return Pair(placed, whole, vertices, whole.vertices, facts)
+    places, _ = carried_vertices(placed, given, whole, config)
+    return Pair(placed, whole, given, places, facts)
 
 
 def read_of(path: Path, template: Template) -> Mesh:
@@ -237,13 +237,13 @@ class Carrier:
     """Carries maps along a pair of meshes."""
 
     def __init__(self, pair: Pair, config: TransferConfig) -> None:
-        """Prepare the surface that is asked, and both meshes' tangents."""
+        """Prepare the surface that is sampled, and both meshes' tangents."""
         self._pair, self._config = pair, config
         self._surface = Surface(pair.first, config)
         self._old: dict[tuple[int, int], Raster] = {}
 
     def grid(self, rows: int, columns: int) -> Grid:
-        """Where the texels of a new texture lie in the old one."""
+        """Where the texels of a new texture are in the old one."""
         first, second = self._pair.first, self._pair.second
         assert first.uvs is not None  # of templates
         assert second.uvs is not None
@@ -275,8 +275,8 @@ class Carrier:
         """One map in the new texture.
 
         Args:
-            name: tells what the map holds: tangent-space normals, other normals, numbers that have
-                no mean, or plain values.
+            name: of the map, which decides what it holds: tangent-space normals, other normals,
+                numbers with no mean, or plain values.
             image: (h, w, c) float32.
             grid: of the new texture.
 

@@ -64,7 +64,7 @@ def stretch_of(mesh: Mesh, rows: int) -> Stretch:
     double = np.linalg.norm(np.cross(along, across), axis=1)
     ok = (length > 0) & (double > 0)
     safe = np.where(ok, length, 1.0)
-    # The triangle laid flat: (0, 0), (length, 0), (x, y).
+    # The triangle in a plane: (0, 0), (length, 0), (x, y).
     x = np.einsum("tk,tk->t", along, across) / safe
     y = np.where(ok, double, 1.0) / safe
     first, second = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
@@ -87,7 +87,7 @@ def overlapping(mesh: Mesh, rows: int) -> tuple[np.ndarray, float]:
 
     Args:
         mesh: with UV.
-        rows: of the texture that is looked at; columns are two thirds.
+        rows: of the texture that is checked; columns are two thirds.
 
     Returns:
         (t,) bool, and the share of all covered texels that more than one triangle has.
@@ -105,7 +105,7 @@ def overlapping(mesh: Mesh, rows: int) -> tuple[np.ndarray, float]:
 def islands(mesh: Mesh) -> np.ndarray:
     """(t,) number of the UV island that each triangle is in."""
     corners = mesh.triangle_uvs()
-    assert mesh.uvs is not None  # triangle_uvs says it
+    assert mesh.uvs is not None  # triangle_uvs has checked it
     # Equal coordinates that a file writes twice are one place only where a vertex is shared, too.
     key = np.concatenate([mesh.triangles().reshape(-1, 1), mesh.uvs[corners].reshape(-1, 2)], 1)
     _, place = np.unique(np.round(key, 9), axis=0, return_inverse=True)
@@ -134,7 +134,7 @@ def mirrored(mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _texels(mesh: Mesh, rows: int, columns: int) -> np.ndarray:
     """(t, 3, 2) float64 places of the triangles' corners, x right and y down, in texels."""
     corners = mesh.triangle_uvs()
-    assert mesh.uvs is not None  # triangle_uvs says it
+    assert mesh.uvs is not None  # triangle_uvs has checked it
     uv = mesh.uvs[corners]
     return np.ascontiguousarray(np.stack([uv[..., 0] * columns, (1 - uv[..., 1]) * rows], axis=-1))
 

@@ -29,7 +29,7 @@ def chart_reflectance() -> np.ndarray:
 def calibrate_colour(sensor: Sensor, rng: np.random.Generator, white: float = 1.0) -> np.ndarray:
     """Colour calibration as a user makes it: from a noisy photograph of a chart and a grey card.
 
-    The chart lies at the sphere's centre facing the frontal camera, lit by `full` as the stage
+    The chart is at the sphere's centre facing the frontal camera, lit by `full` as the stage
     drives it, and a perfect white is to read 1. Patches that clip are left out. The grey card,
     photographed large, holds the scale.
 

@@ -21,7 +21,7 @@ TAKEN = "2000:01:01 12:00:00"
 
 @dataclasses.dataclass(frozen=True)
 class Exif:
-    """What a camera tells of itself in its files; no name and no place unless they are set.
+    """What a camera writes of itself into its files; no name and no place unless they are set.
 
     Attributes:
         model: with its maker as first word.
@@ -29,7 +29,7 @@ class Exif:
         f_number: aperture.
         focal_mm: focal length.
         taken: date and time, EXIF's form.
-        offset: of that time from UTC; None where the camera does not tell.
+        offset: of that time from UTC; None where the camera does not write it.
         artist: a name that somebody left in the camera's menu.
         owner: the same.
         place: latitude and longitude in degrees, where the camera knows them.
@@ -71,7 +71,7 @@ def dng_bytes(mosaic: np.ndarray, sensor: Sensor, exif: Exif) -> bytes:
         262: (SHORT, CFA),  # PhotometricInterpretation
         271: (ASCII, exif.model.split(" ")[0]),  # Make
         272: (ASCII, exif.model),
-        274: (SHORT, 1),  # Orientation: as it stands
+        274: (SHORT, 1),  # Orientation: as it is
         277: (SHORT, 1),  # SamplesPerPixel
         278: (LONG, height),  # RowsPerStrip
         284: (SHORT, 1),  # PlanarConfiguration

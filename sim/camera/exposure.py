@@ -64,10 +64,10 @@ def expose_again(dng: bytes, gain: float, iso: str) -> bytes:
         counts = np.frombuffer(data, "<u2", size // 2, offset)
         exposed = np.clip(np.round(black + (counts - black) * gain), 0, white).astype("<u2")
         data[offset : offset + size] = exposed.tobytes()
-    return told_by(bytes(data), iso=iso)
+    return with_exposure(bytes(data), iso=iso)
 
 
-def told_by(
+def with_exposure(
     dng: bytes,
     iso: str | None = None,
     shutter: str | None = None,
@@ -88,7 +88,7 @@ def told_by(
         aperture: such as ``f/8``.
         serial: of the body.
         taken: date and time, EXIF's form.
-        shot: how many shots the body has taken; it stands for the thousandths of the second, so
+        shot: how many shots the body has taken; it replaces the thousandths of the second, so
             that one light is never photographed twice in the same bytes.
 
     Raises:

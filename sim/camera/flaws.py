@@ -1,7 +1,7 @@
 """How a laboratory differs from the ideal: lens, lamps, room, subject and sensor, by name or file.
 
 `ideal` adds nothing to the sensor's own noise; `lab` is mild everything; `bad` is harsh. A TOML
-file overrides a named set, which its key `based_on` tells (`ideal` where absent).
+file overrides a named set, which its key `based_on` names (`ideal` where absent).
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class LensConfig:
         vignetting: share of light lost in the corners beside the cosine law.
         vignetting_spread: standard deviation of that share from camera to camera.
         cosine_fourth: whether light falls with the fourth power of the field angle's cosine.
-        depth_of_field: whether what lies off the plane of focus is blurred.
-        focus_before_origin_mm: the plane of focus lies this far from the origin toward the camera.
+        depth_of_field: whether what is off the plane of focus is blurred.
+        focus_before_origin_mm: the plane of focus is this far from the origin toward the camera.
         focus_error_mm: standard deviation of that from camera to camera.
-        distortion_k1: added to each camera's own k1 (rig.json tells the sum).
+        distortion_k1: added to each camera's own k1 (rig.json has the sum).
     """
 
     f_number: float = 16.0
@@ -96,7 +96,7 @@ class SwayConfig:
 class CaptureFlaws:
     """Everything that a simulated capture does to the light.
 
-    `lamps` are what the stage's lights really shine; the rig of the session does not tell.
+    `lamps` are what the stage's lights really shine; the rig of the session does not have it.
     """
 
     lens: LensConfig = LensConfig()

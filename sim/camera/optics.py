@@ -76,7 +76,7 @@ class Lens:
         return np.maximum(share, 0.0).astype(np.float32)
 
     def circle_px(self, depth_mm: np.ndarray) -> np.ndarray:
-        """Radius of the circle of confusion [Potmesil1981] at depths along the axis, in pixels.
+        """Radius of the circle of confusion [Potmesil1981] at (...) depths along the axis, px.
 
         Depths that are not positive (nothing there) are taken to be in focus.
         """
@@ -157,7 +157,7 @@ def defocus(light: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
         )
         layer = light[part] * share[part][..., None]
         if index > 0:
-            # What lies beyond the edge is like what lies at it: a flat field stays flat.
+            # What is beyond the edge is like what is at it: a flat field stays flat.
             layer = cv2.filter2D(layer, -1, _disc(float(radii[index])), borderType=EDGE)
         out[part] += layer
     return out

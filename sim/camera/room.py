@@ -15,7 +15,7 @@ DIRECTIONS = 20_000
 def even_levels(lamps: Lamps) -> np.ndarray:
     """Levels of the stage's lamps that make the field nearest to light from everywhere.
 
-    Each lamp stands for the directions nearest to it. So room light needs no renderer of its own:
+    Each lamp represents the directions nearest to it. So room light needs no renderer of its own:
     it is one more state of the lamps, with the subject's shadows.
 
     Args:

@@ -27,7 +27,7 @@ class SensorConfig:
         sensitivity_rgb: of red, green and blue pixels to the LEDs' white.
         crosstalk: how much of linear R G B each of the three kinds of pixel sees; rows sum to 1.
         camera_spread: standard deviation of one camera's sensitivities against the others'.
-        headroom: share of the white level at which the brightest skin under `full` lies.
+        headroom: share of the white level at which the brightest skin under `full` is.
         iso: of the session.
         unit_exposure_s: exposure at which linear 1.0 in a channel of sensitivity 1 just clips at
             ISO 100.

@@ -214,7 +214,7 @@ def depth_picture(surface: Surface) -> np.ndarray:
 
 
 def widened(depth: np.ndarray) -> np.ndarray:
-    """A depth picture in which pixels beside the subject have the depth of its edge.
+    """A (h, w) depth picture in which pixels beside the subject have the depth of its edge.
 
     They show a part of it where a photograph's pixels gather several rays; left without a depth
     they would stay sharp beside what blurs.

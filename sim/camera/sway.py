@@ -43,7 +43,7 @@ def moved(subject: Subject, world_from_still: np.ndarray) -> Subject:
     """The subject elsewhere.
 
     Args:
-        subject: as it stood.
+        subject: as it was.
         world_from_still: (3, 4) rigid, mm.
     """
     rotation, shift = world_from_still[:, :3], world_from_still[:, 3]

@@ -30,7 +30,7 @@ def tiff_bytes(pixels: np.ndarray, tags: Tags, exif: Tags, gps: Tags | None = No
     data = np.ascontiguousarray(pixels, "<u2").tobytes()
     first = 8
     own = dict(tags)
-    # The places are of fixed size, so a first pass with zeros tells where everything will lie.
+    # The places are of fixed size, so a first pass with zeros shows where everything will be.
     own |= {STRIP_OFFSETS: (LONG, 0), STRIP_BYTES: (LONG, len(data)), EXIF_DIRECTORY: (LONG, 0)}
     if gps:
         own[GPS_DIRECTORY] = (LONG, 0)

@@ -54,7 +54,7 @@ class AdalightDevice(EndDevice):
         story: what goes wrong; nothing by default.
         log: where that is noted.
         banks: polarisation bank of each light, for a story that swaps them.
-        greets: whether it says its word when its port is opened.
+        greets: whether it sends its word when its port is opened.
         timeout_s: after so long without a byte its LEDs go off.
 
     Attributes:

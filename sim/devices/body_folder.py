@@ -2,7 +2,7 @@
 
     camera.json   who it is, its settings, its part of the story
     next.dng      what a shot gives now; replaced when the light changes
-    state.json    shots so far, what is pending, where it is plugged in, whether it is gone or off
+    state.json    shots so far, what is pending, where it is plugged in, whether it is absent or off
     card/         its files, DSC_0001.DNG and so on
 
 A port is a path to that folder: its own, or a link beside it after it was plugged in elsewhere.

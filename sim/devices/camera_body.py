@@ -1,6 +1,6 @@
 """A camera's body without its driver: settings, card, events, and what goes wrong with them.
 
-All that it remembers lies in its folder (sim.devices.body_folder), so that it is the same camera
+All that it remembers is in its folder (sim.devices.body_folder), so that it is the same camera
 after its process was killed.
 """
 
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.formats.files import read_json
-from sim.camera.exposure import expose_again, preview_jpeg, told_by
+from sim.camera.exposure import expose_again, preview_jpeg, with_exposure
 from sim.devices.body_folder import NEXT, SCHEMA, put
 from sim.devices.camera_settings import CameraSettings, changed
 from sim.devices.faults import Due, FaultLog, Story
@@ -31,8 +31,8 @@ REFUSED: dict[str, tuple[int, str] | tuple[int, str, str]] = {
     "fill-up": (-3, "the card is full"),
     "fail": (-1, "no picture was taken"),
 }
-"""Faults with which no picture is taken: libgphoto2's error, what is said, and what to do where the
-error does not tell it. The first wins."""
+"""Faults with which no picture is taken: libgphoto2's error, its message, and what to do where the
+error does not name it. The first wins."""
 SETTINGS = {"wrong-iso": "iso", "owner-set": "owner"}
 """Faults that change one setting."""
 IN_SETTINGS = ("duplicate-serial",)
@@ -41,7 +41,7 @@ IN_SETTINGS = ("duplicate-serial",)
 
 @dataclasses.dataclass(frozen=True)
 class Event:
-    """What a body tells by itself.
+    """What a body reports by itself.
 
     Attributes:
         kind: ``file``, ``done`` or ``other``.
@@ -59,11 +59,11 @@ class BodyError(Exception):
 
     Attributes:
         code: as in libgphoto2.
-        hint: what to do; empty where the code tells it.
+        hint: what to do; empty where the code implies it.
     """
 
-    def __init__(self, code: int, said: str, hint: str = "") -> None:
-        super().__init__(said)
+    def __init__(self, code: int, message: str, hint: str = "") -> None:
+        super().__init__(message)
         self.code = code
         self.hint = hint
 
@@ -90,13 +90,13 @@ class CameraBody:
         self._lost = False
 
     def plugged(self) -> str | None:
-        """Name of the port at which it is found on the bus now; None where it is gone or off."""
+        """Name of the port at which it is found on the bus now; None where it is absent or off."""
         state = self._state()
         here = time.monotonic() >= state["gone_until_s"] and not state["off"]
         return str(state["plug"]) if here else None
 
     def connect(self) -> None:
-        """Be found on the bus; BodyError where it is gone, off, or another program's."""
+        """Be found on the bus; BodyError where it is absent, off, or another program's."""
         state = self._state()
         state["opens"] += 1
         if state["off"]:
@@ -115,7 +115,7 @@ class CameraBody:
             self._log.write(self.id, due, state["shots"] + 1, f"serial {due.fault['value']}")
 
     def settings(self) -> CameraSettings:
-        """What it tells when it is asked now."""
+        """What it reports when it is read now."""
         state = self._state()
         settings = dataclasses.replace(self._nominal, **state["changed"])
         for due in self._due_in_settings(state, "duplicate-serial"):
@@ -181,7 +181,7 @@ class CameraBody:
         self._save(state)  # before anything can hang: a shot that was begun has happened
         for each in due.values():
             if each.name in ("busy", *IN_SETTINGS) or (each.name == "stale" and not self._raws()):
-                continue  # told already, or there is nothing old to give
+                continue  # reported already, or there is nothing old to give
             fields = ", ".join(f"{key} {each.fault[key]}" for key in each.fault.kind.fields)
             self._log.write(self.id, each, shot, fields)
         for name, setting in SETTINGS.items():
@@ -208,7 +208,7 @@ class CameraBody:
     def _refuse(self, due: dict[str, Due]) -> None:
         """Raise what keeps a picture from being taken, and remember what follows from it."""
         full = self._room() < len(self._light())
-        for name, (code, *said) in REFUSED.items():
+        for name, (code, *texts) in REFUSED.items():
             if name not in due and not (name == "fill-up" and full):
                 continue
             state = self._state()
@@ -222,7 +222,7 @@ class CameraBody:
                 (self.folder.parent / plug).symlink_to(self.folder)
                 self._save({**state, "plug": plug})
             self._lost = code == LOST[0]
-            raise BodyError(code, *said)
+            raise BodyError(code, *texts)
 
     def _expose(self, state: dict[str, Any], due: dict[str, Due]) -> None:
         """Put the picture on the card and queue its events."""
@@ -270,7 +270,7 @@ class CameraBody:
         if settings.clock_offset_s is not None:
             now_s = time.time() + settings.clock_offset_s
             taken = time.strftime("%Y:%m:%d %H:%M:%S", time.gmtime(now_s))
-        return told_by(
+        return with_exposure(
             exposed,
             settings.iso,
             settings.shutter,
@@ -287,7 +287,7 @@ class CameraBody:
         return max(0, settings.card_bytes - sum(self.size(name) for name in files))
 
     def _linked(self) -> None:
-        """BodyError where the connection is gone."""
+        """BodyError where the connection is lost."""
         if self._lost or self.plugged() != self.port.name:
             raise BodyError(*LOST)
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from lightstage.counting import counted
-from sim.camera.exposure import told_by
+from sim.camera.exposure import with_exposure
 from sim.devices.faults import FaultLog, Story
 from sim.errors import SimError
 
@@ -18,9 +18,9 @@ PORT = "usb:001,001"
 SEED = "SEED0001.JPG"
 """libgphoto2's virtual camera looks for a file of this kind; its bytes may be any."""
 SHUTTER, APERTURE = "0.0100s", "f/2.8"
-"""What libgphoto2's virtual camera tells of itself, whatever its file."""
+"""What libgphoto2's virtual camera reports of itself, whatever its file."""
 UNDATED = "    :  :   %H:%M:%S"
-"""EXIF's form where the date is not known; the time of day tells one session's files from
+"""EXIF's form where the date is not known; the time of day distinguishes one session's files from
 another's, of the same person and seed too."""
 UNVERIFIABLE = (
     *("serial", "iso", "aperture", "shutter", "mode", "white_balance", "image_format", "focus"),
@@ -92,7 +92,7 @@ class CameraFolders:
         self._files[camera_id] = shot
         # Without a date, as of a camera that does not know it: the file is older than its shot.
         taken = time.strftime(UNDATED)
-        data = told_by(data, shutter=SHUTTER, aperture=APERTURE, taken=taken, shot=shot)
+        data = with_exposure(data, shutter=SHUTTER, aperture=APERTURE, taken=taken, shot=shot)
         due = {each.name: each for each in self._story.due(camera_id, "shot", shot)}
         for each in due.values():
             self._log.write(camera_id, each, shot)
@@ -104,7 +104,7 @@ class CameraFolders:
             return
         if "truncated" in due:
             data = data[: round(size * due["truncated"].fault["share"])]
-        # Beside the folder, not in it: the camera lists whatever lies there.
+        # Beside the folder, not in it: the camera lists whatever is there.
         beside = self.root / f"{camera_id}.next"
         if "hang" in due:
             os.mkfifo(beside)  # libgphoto2 blocks in open(), as on a stuck USB transfer

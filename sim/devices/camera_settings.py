@@ -36,7 +36,7 @@ class CameraSettings:
         battery_percent: charge.
         card_files: how many files the card can hold.
         card_bytes: how much of them.
-        clock_offset_s: the camera's clock less the true time; None where it does not tell it, and
+        clock_offset_s: the camera's clock less the true time; None where it does not report it, and
             writes no time into its files.
         firmware: version of its own software.
         owner: written into its files.
@@ -89,7 +89,7 @@ class CameraSettings:
 def exposed_with(
     sensors: Mapping[str, Sensor], lenses: Mapping[str, Lens]
 ) -> dict[str, dict[str, Any]]:
-    """The settings under which photographs are simulated, so that cameras tell the truth.
+    """The settings under which photographs are simulated, so that cameras report the truth.
 
     Args:
         sensors: camera id to sensor.

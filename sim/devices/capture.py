@@ -35,7 +35,7 @@ def capture_session(
 ) -> Path:
     """Let `lightstage capture` photograph a simulated person.
 
-    The LED device stands behind a real pseudo-terminal; nine folders serve libgphoto2's virtual
+    The LED device is behind a real pseudo-terminal; nine folders serve libgphoto2's virtual
     cameras. A camera's file changes only when the device's decoded state does, and the device
     acknowledges a state when all nine files are in place.
 
@@ -51,7 +51,7 @@ def capture_session(
         consent: id of a consent record, None for none.
 
     Raises:
-        SimError: the capture failed (it has said why on stderr).
+        SimError: the capture failed (it has printed why on stderr).
     """
     patterns = sequence_patterns(sequence, world.rig)
     log = None if story is None else _new_log(faults_path(out))

@@ -1,6 +1,6 @@
-"""Tiny photographs whose pixels say which camera took them under which light: labels to verify.
+"""Tiny photographs whose pixels hold which camera took them under which light: labels to verify.
 
-They look like photographs to every check (a textured ball, lit as the lights are), and carry a code
+They pass as photographs in every check (a textured ball, lit as the lights are), and carry a code
 as faint as noise: differences of neighbours, which no other setting of the camera can hide.
 """
 
@@ -37,7 +37,7 @@ EXPOSURE_S = 1 / 60
 
 @dataclasses.dataclass(frozen=True)
 class Code:
-    """What a photograph says of itself.
+    """A photograph's own label.
 
     Attributes:
         camera: its place in the rig.
@@ -80,7 +80,7 @@ class CodedPhotographer:
         self._balls = {camera.id: _ball(rig, camera) for camera in rig.cameras}
 
     def lit(self, levels: np.ndarray) -> int:
-        """Remember a state of the lamps; its code, to be given to `photograph`."""
+        """Remember a state (n,) of the lamps; its code, to be given to `photograph`."""
         with self._lock:
             self.states.append(np.array(levels))
             return len(self.states)
@@ -105,7 +105,7 @@ class CodedPhotographer:
 
 
 def read_code(path: Path) -> Code | None:
-    """What a photograph's pixels say; None where nothing that is whole can be read."""
+    """The label in a photograph's pixels; None where nothing that is whole can be read."""
     try:
         with rawpy.imread(str(path)) as raw:
             counts = raw.raw_image_visible.astype(np.float64)
@@ -113,7 +113,7 @@ def read_code(path: Path) -> Code | None:
         return None
     width = counts.shape[1] // 4 * 4
     blocks = counts[:CODE_ROWS, :width].reshape(CODE_ROWS, -1, 4)
-    # Neighbours of one colour lie two apart.
+    # Neighbours of one colour are two apart.
     apart = (blocks[..., :2] - blocks[..., 2:]).sum(axis=2).reshape(-1)
     half = len(apart) // 2
     total = apart[:half] + apart[half : 2 * half]
@@ -139,7 +139,7 @@ def _signs(camera: int, light: int, width_px: int) -> np.ndarray:
 
 
 def _texture(camera: Camera, rng: np.random.Generator) -> np.ndarray:
-    """(h, w), both whole cells: reflectance 0.5..1, even where the code lies."""
+    """(h, w), both whole cells: reflectance 0.5..1, even where the code is."""
     cells = rng.uniform(0.5, 1.0, (camera.height_px // CELL_PX, camera.width_px // CELL_PX))
     cells[: CODE_ROWS // CELL_PX] = 1.0
     return np.kron(cells, np.ones((CELL_PX, CELL_PX)))
@@ -148,8 +148,8 @@ def _texture(camera: Camera, rng: np.random.Generator) -> np.ndarray:
 def _ball(rig: Rig, camera: Camera) -> np.ndarray:
     """(h // CELL_PX * w // CELL_PX, n) what each light gives to the cells of a picture.
 
-    A white ball before a black wall, as a face would stand: `full` reads 1 in its middle at most.
-    On top, where the code lies, an even card that every light reaches.
+    A white ball before a black wall, in a face's place: `full` reads 1 in its middle at most.
+    On top, where the code is, an even card that every light reaches.
     """
     rows, columns = camera.height_px // CELL_PX, camera.width_px // CELL_PX
     top = CODE_ROWS // CELL_PX

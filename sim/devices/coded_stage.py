@@ -1,4 +1,4 @@
-"""A whole stage whose photographs say who took them under which light: for trials by the thousand.
+"""A whole stage whose photographs hold who took them under which light: for trials by the thousand.
 
 An LED device behind a pseudo-terminal and simulated cameras with a story, before them whatever the
 lamps show (`CodedPhotographer`). Afterwards every photograph of a session is asked what it is.
@@ -26,19 +26,19 @@ from sim.devices.simulated_camera import SimulatedCameras
 from sim.devices.wiring import Wires, wires_of
 
 SETTINGS = {"iso": "100", "shutter": "1/60", "aperture": "f/8"}
-"""Of every camera, as its photographs say."""
+"""Of every camera, as in its photographs."""
 FULL_COUNT = 65535
 
 
 @dataclasses.dataclass(frozen=True)
 class Labels:
-    """What a finished session's photographs say of themselves.
+    """The labels in a finished session's photographs.
 
     Attributes:
-        right: taken by the camera, under the light, that the session says.
-        mislabelled: of another camera, or of a light that was asked for under another name.
-        wrong_light: rightly named, but lamps did not shine as they told.
-        unreadable: whose pixels say nothing.
+        right: taken by the camera, under the light, that the session names.
+        mislabelled: of another camera, or of a light that was commanded under another name.
+        wrong_light: rightly named, but lamps did not shine as they reported.
+        unreadable: without a label that can be read.
         doubled: one photograph under two names.
         missing: patterns and cameras without a photograph.
         of_another: taken before the session began, of whoever sat there then.
@@ -98,7 +98,7 @@ class CodedStage:
         self.cameras_path = write_text(desk / "cameras.toml", self.cameras.cameras_file())
         self._shown = shown
         self._wires = Wires(wires_of(rig))
-        self._asked: list[np.ndarray] = []
+        self._commanded: list[np.ndarray] = []
         self._device: LightsEnd | None = None
         self._show(np.zeros(self._wires.count))
         self.device = self._device = self._far_end(story, watchdog_s)
@@ -118,8 +118,8 @@ class CodedStage:
     def _show(self, by_channel: np.ndarray) -> None:
         levels = self._wires.lamps(by_channel)
         light = self._photographer.lit(levels)
-        asked = _counts(by_channel) if self._device is None else self._device.commanded
-        self._asked.append(self._wires.lamps(asked))
+        commanded = _counts(by_channel) if self._device is None else self._device.commanded
+        self._commanded.append(self._wires.lamps(commanded))
         for camera in self.rig.cameras:
             data = self._photographer.photograph(camera, light)
             put(self.cameras.folder(camera.id) / NEXT, data)
@@ -148,17 +148,17 @@ class CodedStage:
             if first != own:
                 found["doubled"].append(f"{own} is {first}")
             path = root / frame.path
-            what, said = self._what(session, frame.pattern, frame.camera, path, since)
+            what, reason = self._what(session, frame.pattern, frame.camera, path, since)
             if what == "right":
                 right += 1
             else:
-                found[what].append(f"{own}: {said}")
+                found[what].append(f"{own}: {reason}")
         there = {(frame.pattern, frame.camera) for frame in session.file.frames}
         for pattern in session.file.sequence:
             for camera in self.rig.cameras:
                 if (pattern, camera.id) not in there:
                     found["missing"].append(f"{pattern} by {camera.id}")
-        return Labels(right, **{name: tuple(said) for name, said in found.items()})
+        return Labels(right, **{name: tuple(reason) for name, reason in found.items()})
 
     def _what(
         self, session: Session, pattern: str, camera: str, path: Path, since: int
@@ -177,15 +177,15 @@ class CodedStage:
         if np.array_equal(shone, wanted):
             return "right", ""
         wrong = int((shone != wanted).sum())
-        asked = self._asked[code.light - 1]
-        if np.array_equal(asked, wanted):
-            return "wrong_light", f"{counted(wrong, 'lamp')} shone otherwise than told"
+        commanded = self._commanded[code.light - 1]
+        if np.array_equal(commanded, wanted):
+            return "wrong_light", f"{counted(wrong, 'lamp')} shone otherwise than reported"
         names = [
             name
             for name in session.file.sequence
-            if np.array_equal(asked, _counts(session.levels(name)))
+            if np.array_equal(commanded, _counts(session.levels(name)))
         ]
-        lit = counted(int((asked > 0).sum()), "lamp")
+        lit = counted(int((commanded > 0).sum()), "lamp")
         return "mislabelled", f"taken when {', '.join(names) or lit} was asked for"
 
 

@@ -24,28 +24,30 @@ class FaultName:
         device: who can have it.
         counted: what its `at` counts, from 1: packets that reach the LED device, openings of its
             port or of a camera, or a camera's shots.
-        lasts: whether it goes on after `at`, or happens there only.
-        says: what happens.
-        fields: what else can be told of it, with defaults.
+        lasts: whether it continues after `at`, or happens there only.
+        effect: what happens.
+        fields: its other parameters, with defaults.
     """
 
     device: Device
     counted: Counted
     lasts: bool
-    says: str
+    effect: str
     fields: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
-def _line(says: str, **fields: Any) -> FaultName:
-    return FaultName("leds", "packet", False, says, {"way": "request", **fields})
+def _line(effect: str, **fields: Any) -> FaultName:
+    return FaultName("leds", "packet", False, effect, {"way": "request", **fields})
 
 
-def _lamps(says: str) -> FaultName:
-    return FaultName("leds", "packet", True, says, {"lights": (0,)})
+def _lamps(effect: str) -> FaultName:
+    return FaultName("leds", "packet", True, effect, {"lights": (0,)})
 
 
-def _camera(says: str, lasts: bool = False, counted: Counted = "shot", **fields: Any) -> FaultName:
-    return FaultName("camera", counted, lasts, says, fields)
+def _camera(
+    effect: str, lasts: bool = False, counted: Counted = "shot", **fields: Any
+) -> FaultName:
+    return FaultName("camera", counted, lasts, effect, fields)
 
 
 NAMES: dict[str, FaultName] = {

@@ -1,6 +1,6 @@
-"""Faults as a story: named, scripted or drawn from a seed, and told afterwards.
+"""Faults as a story: named, scripted or drawn from a seed, and logged.
 
-A story is a list of faults. Each has a name (sim/devices/fault_names.py, docs/faults.md) and says
+A story is a list of faults. Each has a name (sim/devices/fault_names.py, docs/faults.md) and states
 when it happens: at the n-th packet, opening or shot, from there until another, or with a
 probability. What is drawn depends on the story's seed, the device, the fault's place in the story
 and the count alone: the same story happens twice, also in a camera process that was killed and
@@ -36,7 +36,7 @@ class Fault:
     Args:
         name: of NAMES.
         fields: `at`, `until` (counted from 1), `probability`, `camera` (every one where absent),
-            and the name's own. Without `until` a fault that lasts goes on for ever, one that does
+            and the name's own. Without `until` a fault that lasts continues for ever, one that does
             not happens once; with a probability and no `at` it may happen each time.
 
     Raises:
@@ -91,7 +91,7 @@ class Fault:
         return device == LEDS or self.fields.get("camera", device) == device
 
     def as_dict(self) -> dict[str, Any]:
-        """What a story file says of it."""
+        """Its entry in a story file."""
         return {"name": self.name, **self.fields}
 
 
@@ -236,19 +236,19 @@ class FaultLog:
     def write(self, device: str, due: Due, count: int, detail: str = "") -> None:
         """Note that a fault happened now."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
-        told = Happening(now, device, due.name, due.fault.kind.counted, count, detail)
+        happening = Happening(now, device, due.name, due.fault.kind.counted, count, detail)
         with self._lock:
-            self.happened.append(told)
+            self.happened.append(happening)
             if self.path is not None:
                 handle = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
                 try:
-                    os.write(handle, json.dumps(dataclasses.asdict(told)).encode() + b"\n")
+                    os.write(handle, json.dumps(dataclasses.asdict(happening)).encode() + b"\n")
                 finally:
                     os.close(handle)
 
     def names(self, device: str | None = None) -> list[str]:
         """Names in order, of one device or all."""
-        return [told.name for told in self.happened if device in (None, told.device)]
+        return [each.name for each in self.happened if device in (None, each.device)]
 
 
 def read_fault_log(path: Path) -> list[Happening]:
@@ -259,12 +259,12 @@ def read_fault_log(path: Path) -> list[Happening]:
     """
     if not path.is_file():
         return []
-    told = []
+    happenings = []
     for number, value in enumerate(read_lines(path), 1):
         try:
-            told.append(Happening(**value))
+            happenings.append(Happening(**value))
         except TypeError as error:
             raise SimError(
                 path, field=f"line {number}", found=str(error), expected="a happening"
             ) from None
-    return told
+    return happenings

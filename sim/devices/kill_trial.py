@@ -1,4 +1,4 @@
-"""A real capture that is stopped at a named step, killed, and gone on with; what must hold then.
+"""A real capture that is stopped at a named step, killed, and resumed; what must hold then.
 
 `lightstage capture` runs as a user runs it, with its camera processes and the process that puts
 the lights out. A stop file (lightstage.steps) lets one of them stop itself at a step; then whoever
@@ -103,7 +103,7 @@ class KillTrial:
         self._config = write_text(desk / "config.toml", CONFIG)
 
     def run(self, kills: Sequence[Kill], retake: str = "") -> Outcome:
-        """Capture; die as told, each time in the capture that goes on; then end in peace.
+        """Capture; die as ordered, each time in the capture that resumes; then end in peace.
 
         Args:
             kills: who dies when.
@@ -125,7 +125,7 @@ class KillTrial:
                     if stopped is None:
                         if number == 0:
                             raise SimError(
-                                str(each), found=self._said(capture), expected="its step"
+                                str(each), found=self._output(capture), expected="its step"
                             )
                         continue
                     happened += 1
@@ -134,7 +134,9 @@ class KillTrial:
                 with self._capture(stage, retake) as capture:
                     self._end(capture)
                     if capture.returncode != 0:
-                        self._faults.append(f"the capture did not end well: {self._said(capture)}")
+                        self._faults.append(
+                            f"the capture did not end well: {self._output(capture)}"
+                        )
             recovered = self._verify(stage)
             takes = sum(1 for line in self._journal() if line["event"] == "exposed")
         return Outcome(tuple(self._faults), happened, takes, recovered, dark_s)
@@ -164,9 +166,9 @@ class KillTrial:
         environment.pop("LIGHTSTAGE_STOP_FILE", None)
         if stopping:
             environment["LIGHTSTAGE_STOP_FILE"] = str(self._stop_file)
-        with (self.desk / "said.txt").open("ab") as said:
+        with (self.desk / "said.txt").open("ab") as log:
             capture = subprocess.Popen(
-                command, stdout=said, stderr=said, env=environment, start_new_session=True
+                command, stdout=log, stderr=log, env=environment, start_new_session=True
             )
         family: list[Process] = []
         try:
@@ -180,7 +182,7 @@ class KillTrial:
                 kill(each.pid)
 
     def _stopped(self, capture: subprocess.Popen[bytes], wanted: Kill) -> Process | None:
-        """Wait until a process stands at the step; None where the capture ended before."""
+        """Wait until a process has stopped at the step; None where the capture ended before."""
         stop = f"{wanted.step} {wanted.pattern} {wanted.camera}\n"
         write_text(self._stop_file, stop)
         while True:
@@ -191,7 +193,7 @@ class KillTrial:
                 return None
             if wanted.event in ("", self._half_line()):
                 return found[0]
-            write_text(self._stop_file, stop)  # before it goes on: the next one may come at once
+            write_text(self._stop_file, stop)  # before it continues: the next one may come at once
             os.kill(found[0].pid, signal.SIGCONT)
 
     def _stands(self, capture: subprocess.Popen[bytes], found: list[Process]) -> bool:
@@ -204,7 +206,7 @@ class KillTrial:
         return bool(found)
 
     def _half_line(self) -> str:
-        """The event of the line that stands half on the disk."""
+        """The event of the line that is half on the disk."""
         journal = self.root / "journal.jsonl"
         path = journal if journal.exists() else journal.with_name(".journal.jsonl.begun")
         half = path.read_bytes().rpartition(b"\n")[2].decode()
@@ -225,7 +227,7 @@ class KillTrial:
             self._end(capture)  # by itself: the camera is started again
             if capture.returncode != 0:
                 self._faults.append(
-                    f"{wanted}: the capture did not outlive it: {self._said(capture)}"
+                    f"{wanted}: the capture did not outlive it: {self._output(capture)}"
                 )
         elif wanted.who == "capture":
             kill(capture.pid)
@@ -268,7 +270,7 @@ class KillTrial:
         path = self.root / "journal.jsonl"
         return read_journal(path) if path.exists() else []
 
-    def _said(self, capture: subprocess.Popen[bytes]) -> str:
+    def _output(self, capture: subprocess.Popen[bytes]) -> str:
         text = (self.desk / "said.txt").read_text(errors="replace")
         return f"exit code {capture.poll()}; {text[-2000:]}"
 
@@ -296,7 +298,7 @@ class KillTrial:
         return self._verify_files(stage)
 
     def _verify_files(self, stage: CodedStage) -> int:
-        """Every file of every card once on the disk, as the journal says; nothing left over."""
+        """Every file of every card once on the disk, as in the journal; nothing left over."""
         files = [p for f in ("frames", "recovered") for p in (self.root / f).rglob("*")]
         there = [path for path in files if path.is_file()]
         hashes = collections.Counter(sha256_file(path) for path in there)
@@ -308,8 +310,8 @@ class KillTrial:
             for file in cards:
                 if (count := hashes[sha256_file(file)]) != 1:
                     self._faults.append(f"{camera.id}, {file.name}: {count} times on the disk")
-        told = {line.get("path"): line.get("sha256") for line in self._journal()}
+        recorded = {line.get("path"): line.get("sha256") for line in self._journal()}
         for path in there:
-            if told.get(path.relative_to(self.root).as_posix()) != sha256_file(path):
+            if recorded.get(path.relative_to(self.root).as_posix()) != sha256_file(path):
                 self._faults.append(f"{path}: the journal does not know these bytes")
         return sum(1 for path in there if "recovered" in path.relative_to(self.root).parts)

@@ -51,7 +51,7 @@ class EndDevice(abc.ABC):
         log: where it is noted what goes wrong.
 
     Attributes:
-        path: the line, as it stands in a URL.
+        path: the line, as it is in a URL.
         states: what was lit, in order, the dark start included.
         log: what went wrong.
         failure: what `show` raised.

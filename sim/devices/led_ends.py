@@ -10,7 +10,7 @@ import tty
 from typing import Literal, Protocol
 
 OPEN_POLL_S = 0.005
-"""While nobody has a terminal open, the kernel tells of an opening only to those who ask."""
+"""While nobody has a terminal open, the kernel reports an opening only to those who ask."""
 READ_BYTES = 65536
 
 Event = Literal["opened", "closed", "data", "stop"]
@@ -20,7 +20,7 @@ class End(Protocol):
     """The device's end of a line. One host at a time."""
 
     place: str
-    """What stands in a URL behind the scheme's two slashes."""
+    """What is in a URL behind the scheme's two slashes."""
 
     def wait(self, stop: int, timeout_s: float | None) -> Event | None:
         """The next thing that happens; "stop" when that handle can be read; None after a time."""
@@ -29,7 +29,7 @@ class End(Protocol):
         """What has come."""
 
     def send(self, data: bytes) -> None:
-        """Say something; into the void where nobody is there."""
+        """Send something; into the void where nobody is there."""
 
     def close(self) -> None:
         """Take the line down."""
@@ -74,7 +74,7 @@ class PtyEnd:
         return os.read(self._master, READ_BYTES)
 
     def send(self, data: bytes) -> None:
-        """Say something."""
+        """Send something."""
         with contextlib.suppress(OSError):  # nobody has the port open
             while data:
                 data = data[os.write(self._master, data) :]
@@ -125,7 +125,7 @@ class TcpEnd:
         return data
 
     def send(self, data: bytes) -> None:
-        """Say something."""
+        """Send something."""
         with contextlib.suppress(OSError):
             if self._host is not None:
                 self._host.sendall(data)
@@ -160,7 +160,7 @@ class UdpEnd:
         return self._socket.recv(READ_BYTES)
 
     def send(self, data: bytes) -> None:
-        """Nothing is ever said."""
+        """Nothing is ever sent."""
 
     def close(self) -> None:
         """Close the port."""

@@ -33,7 +33,7 @@ Step = bytes | Wait
 
 
 class FaultyLamps:
-    """From what was commanded to what shines and what is told of it.
+    """From what was commanded to what shines and what is reported of it.
 
     Args:
         banks: polarisation bank of each light, in the rig's order.
@@ -49,7 +49,7 @@ class FaultyLamps:
 
     def __call__(self, commanded: np.ndarray) -> Shining:
         """What (n,) commanded counts become, the faults in order."""
-        counts, told = commanded.copy(), commanded.copy()
+        counts, reported = commanded.copy(), commanded.copy()
         for fault in self.broken:
             if fault.name == "swapped-bank":
                 counts = counts[self.swapped]
@@ -58,8 +58,8 @@ class FaultyLamps:
             level = FULL_COUNT if fault.name.startswith("stuck-on") else 0
             counts[lights] = level
             if not fault.name.endswith("-hidden"):
-                told[lights] = level
-        return Shining(counts, told)
+                reported[lights] = level
+        return Shining(counts, reported)
 
 
 class Line:
@@ -112,7 +112,7 @@ class FaultyLeds:
         story: what goes wrong.
         log: where that is noted.
         banks: polarisation bank of each light; needed by a story with ``swapped-bank``.
-        watchdog_s: what its HELLO tells of it; whoever holds the clock keeps it.
+        watchdog_s: what its HELLO has of it; whoever holds the clock keeps it.
 
     Raises:
         SimError: a light that is not there, or banks that cannot be swapped.

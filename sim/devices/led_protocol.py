@@ -27,19 +27,19 @@ FIRMWARE = "lightstage-sim 1"
 
 @dataclasses.dataclass(frozen=True)
 class Shining:
-    """What the lamps do when they are told something.
+    """What the lamps do on a command.
 
     Attributes:
         counts: (n,) uint16, what really shines.
-        told: (n,) uint16, what the device says of it.
+        reported: (n,) uint16, what the device reports of it.
     """
 
     counts: np.ndarray
-    told: np.ndarray
+    reported: np.ndarray
 
 
 def sound_lamps(commanded: np.ndarray) -> Shining:
-    """Lamps that do what they are told."""
+    """Lamps that do what is commanded, (n,) counts."""
     return Shining(commanded, commanded)
 
 
@@ -51,13 +51,13 @@ class LedProtocol:
         boot_id: changes with each reset.
         show: called with (n,) levels in 0..1 whenever what shines changes, before it is
             acknowledged.
-        lamps: from (n,) commanded counts to what shines and what is told of it.
-        watchdog_s: told in HELLO; whoever holds the clock calls `put_out` after it.
+        lamps: from (n,) commanded counts to what shines and what is reported of it.
+        watchdog_s: in HELLO; whoever holds the clock calls `put_out` after it.
 
     Attributes:
         counts: (n,) uint16 that were commanded.
         heard: how many whole packets have come.
-        lies: how many of the next acknowledgements tell levels that nobody asked for.
+        lies: how many of the next acknowledgements report levels that nobody commanded.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class LedProtocol:
         self._shining = Shining(self.counts, self.counts)
         self._crc = Calculator(Crc16.IBM_3740.value, optimized=True)
         self._pending = b""
-        # The last number and its answer; nothing stands for LIT, told anew each time.
+        # The last number and its answer; nothing for LIT, which is made anew each time.
         self._last: tuple[int, bytes] | None = None
 
     def hello(self, sequence: int = 0) -> bytes:
@@ -107,7 +107,7 @@ class LedProtocol:
         self._shining = shining
 
     def frames(self, data: bytes) -> list[bytes]:
-        """Take bytes from the host; what stood between zeros so far, empty frames left out."""
+        """Take bytes from the host; what was between zeros so far, empty frames left out."""
         *frames, rest = (self._pending + data).split(b"\0")
         self._pending = rest if len(rest) < MAX_PACKET else b""
         return [frame for frame in frames if frame]
@@ -131,7 +131,7 @@ class LedProtocol:
         _, kind, sequence = struct.unpack("<BBH", body[:4])
         if self._last is not None:
             if self._last[0] == sequence:
-                # Lamps may have changed by themselves since: what is lit is told as it is now.
+                # Lamps may have changed by themselves since: what is lit is reported as it is now.
                 return self._last[1] or self._lit(sequence)
             if kind != HELLO_ASKED and (sequence - self._last[0]) % 65536 >= BEHIND:
                 return b""
@@ -169,11 +169,11 @@ class LedProtocol:
         self.refresh()
 
     def _lit(self, sequence: int) -> bytes:
-        told = self._shining.told.astype("<u2")
+        reported = self._shining.reported.astype("<u2")
         if self.lies > 0:
             self.lies -= 1
-            told = np.bitwise_xor(told, 1).astype("<u2")
-        return self._packet(LIT, sequence, hashlib.sha256(told.tobytes()).digest())
+            reported = np.bitwise_xor(reported, 1).astype("<u2")
+        return self._packet(LIT, sequence, hashlib.sha256(reported.tobytes()).digest())
 
     def _refuse(self, sequence: int, code: int, reason: str) -> bytes:
         return self._packet(REFUSED, sequence, bytes([code]) + reason.encode())

@@ -13,7 +13,7 @@ from sim.devices.led_protocol import FULL_COUNT
 
 
 class UnansweredLeds:
-    """Takes whole packets, lights lamps, says nothing.
+    """Takes whole packets, lights lamps, answers nothing.
 
     Of the LED faults those of the line (toward the device), of the lamps, `die` and `reset` happen
     here; there is no answer that could be wrong or lost.

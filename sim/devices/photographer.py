@@ -82,7 +82,7 @@ class Photographer:
                 job.result()
 
     def settings(self) -> dict[str, dict[str, Any]]:
-        """Each camera's settings as its photographs will say (CameraSettings' names)."""
+        """Each camera's settings as its photographs will have them (CameraSettings' names)."""
         return exposed_with(self.sensors, self.shooting.lenses)
 
     def colour_calibration(self) -> dict[str, object]:

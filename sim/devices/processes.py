@@ -1,4 +1,4 @@
-"""Processes as Linux tells them (/proc): who descends from whom, who stands still."""
+"""Processes by Linux's /proc: who descends from whom, who is stopped."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def is_gone(pid: int) -> bool:
 
 
 def kill(pid: int) -> None:
-    """SIGKILL, also to one that is gone already."""
+    """SIGKILL, also to one that has ended already."""
     with contextlib.suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
 

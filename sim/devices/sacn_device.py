@@ -22,7 +22,7 @@ ACN = b"ASC-E1.17\x00\x00\x00"
 
 @dataclasses.dataclass(frozen=True)
 class DataPacket:
-    """What an E1.31 data packet says; slots without the start code."""
+    """The content of an E1.31 data packet; slots without the start code."""
 
     cid: bytes
     name: str
@@ -42,8 +42,8 @@ def read_packet(data: bytes) -> DataPacket | None:
     if len(data) < 126 or data[:4] != b"\x00\x10\x00\x00" or data[4:16] != ACN:
         return None
     for start in (16, 38, 115):
-        (told,) = struct.unpack_from("!H", data, start)
-        if told >> 12 != 7 or (told & 0xFFF) != len(data) - start:
+        (flags_and_length,) = struct.unpack_from("!H", data, start)
+        if flags_and_length >> 12 != 7 or (flags_and_length & 0xFFF) != len(data) - start:
             return None
     if data[18:22] != b"\0\0\0\4" or data[40:44] != b"\0\0\0\2":
         return None
@@ -96,7 +96,7 @@ class SacnDevice(EndDevice):
         dropped: packets that came too late, by their number.
         strangers: packets of sources that did not count.
         malformed: datagrams that were none.
-        terminated: universes whose source said that it ends.
+        terminated: universes whose source announced its end.
         source_losses: universes whose source fell silent.
     """
 
@@ -154,7 +154,7 @@ class SacnDevice(EndDevice):
         """Whether a packet counts; its source is remembered."""
         source = self._sources.get(packet.universe)
         if source is None and packet.terminated:
-            return False  # one that has ended says so more than once
+            return False  # one that has ended announces it more than once
         if source is not None and source.cid != packet.cid and packet.priority <= source.priority:
             self.strangers += 1
             return False
@@ -171,7 +171,7 @@ class SacnDevice(EndDevice):
         return True
 
     def _with(self, universe: int, slots: bytes) -> np.ndarray:
-        """(n,) counts with one universe's lights as these slots say."""
+        """(n,) counts with one universe's lights as in these slots."""
         size = self._channels * self._bytes
         counts = self._leds.counts.copy()
         start = (universe - self._first) * self._per_universe

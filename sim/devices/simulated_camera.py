@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 DRIVER = "sim.devices.simulated_camera:SimulatedCamera"
 FOLDER = "/DCIM/100SIM/"
-"""Where its files are on the card, as it says."""
+"""Where its files are on the card, as it reports."""
 NO_EVENT_S = 0.2
 """A shot of which nothing is heard for so long, and that is done, has no file."""
 POLL_S = 0.1
@@ -79,7 +79,7 @@ class SimulatedCamera:
         return found
 
     def open(self) -> Summary:
-        """Connect; DeviceError where the camera is gone or off."""
+        """Connect; DeviceError where the camera is absent or off."""
         if not Path(self.port).exists():
             raise DeviceError(self.port, field="connect", found="nothing", hint=HINTS[-105])
         body = CameraBody(Path(self.port))
@@ -148,11 +148,11 @@ class SimulatedCamera:
     def _summary(self) -> Summary:
         body = self._opened()
         settings = dataclasses.asdict(body.settings())
-        told = {name: settings[name] for name in (*VERIFIABLE, "lens") if name in settings}
-        return Summary(**told, card_free_bytes=body.card_free_bytes())
+        known = {name: settings[name] for name in (*VERIFIABLE, "lens") if name in settings}
+        return Summary(**known, card_free_bytes=body.card_free_bytes())
 
     def _arrived(self, body: CameraBody, known: Set[str]) -> tuple[list[str], float]:
-        """Names of this shot's files, and when the camera said that the picture was taken.
+        """Names of this shot's files, and when the camera reported that the picture was taken.
 
         A late file of an earlier shot may come too: ours was not on the card before.
         """
@@ -192,8 +192,8 @@ class SimulatedCamera:
 
     def _failure(self, doing: str, error: BodyError) -> DeviceError:
         hint = error.hint or HINTS[error.code]
-        said = f"error {error.code} ({error})"
-        return DeviceError(self.port, field=doing, found=said, hint=hint)
+        found = f"error {error.code} ({error})"
+        return DeviceError(self.port, field=doing, found=found, hint=hint)
 
 
 class SimulatedCameras:

@@ -47,7 +47,7 @@ def stage(
         default=None,
     ),
 ) -> None:
-    """Let a simulated stage stand ready until Ctrl-C, and say how to capture it."""
+    """Keep a simulated stage ready until Ctrl-C, and print how to capture it."""
     from lightstage.formats.landmarks import LANDMARKS
     from lightstage.patterns import sequence_patterns
     from lightstage.rig import default_rig, load_rig
@@ -64,7 +64,7 @@ def stage(
     story = Story() if faults is None else Story.read(faults)
     where = (default_rig() if rig is None else load_rig(rig)).scaled(scale)
     patterns = sequence_patterns(sequence, where)
-    plan_shots(patterns, where)  # an unknown pattern is told before a person is made
+    plan_shots(patterns, where)  # an unknown pattern is refused before a person is made
     story.check_cameras([camera.id for camera in where.cameras], "--faults")
     person = load_subject(subject, seed, None, SessionConfig().texture_rows)
     with progress_bar("shadow rays, cameras") as progress:
@@ -132,7 +132,7 @@ def calibrate(
         done = standing.calibrate(out, kind, echo=Echo(sys.stderr))
     print(done.stdout, end="")
     if done.returncode != 0:
-        # The command has told the fault itself.
+        # The command has reported the fault itself.
         helps = _what_may_help(done.stderr)
         print(
             f"The simulated devices are gone: begin again with this command{helps}.",
@@ -141,17 +141,17 @@ def calibrate(
         raise typer.Exit(done.returncode)
 
 
-def _what_may_help(said: str) -> str:
+def _what_may_help(message: str) -> str:
     """What to do otherwise, by what failed; empty where nothing is known."""
-    if "no answer to" in said:
+    if "no answer to" in message:
         return ", when this computer is less busy or at a smaller --scale: the lamps were too slow"
-    if "did not do in" in said:
+    if "did not do in" in message:
         return ", at a larger --scale if the target is too small in the pictures"
     return ""
 
 
 class Echo:
-    """What a command says, letter by letter, without the line that goes on with its devices.
+    """What a command prints, letter by letter, without the line that resumes with its devices.
 
     Args:
         file: to write to.
@@ -163,7 +163,7 @@ class Echo:
         self._shown = 0
 
     def __call__(self, text: str) -> None:
-        """Say more."""
+        """Print more."""
         for letter in text:
             self._line += letter
             if not (GO_ON.startswith(self._line) or self._line.startswith(GO_ON)):

@@ -75,7 +75,7 @@ def standing_stage(
             ones then, whose cards outlive their processes; else libgphoto2's virtual ones.
         log: where what went wrong is noted.
         peak: as in `Photographer`.
-        wires: (n,) channel of each lamp, whatever the rig says; as it says where absent.
+        wires: (n,) channel of each lamp, whatever the rig has; the rig's where absent.
     """
     world = seen_through(world, patterns)
     photographer = Photographer(world, seed, flaws, patterns, peak=peak)

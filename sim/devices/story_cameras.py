@@ -1,7 +1,7 @@
 """Cameras for a session to which a story happens: what they will see is developed beforehand.
 
 A request that is lost is asked again after seconds, not after the minutes that nine renderings may
-take: so every pattern's photographs lie ready when the capture begins.
+take: so every pattern's photographs are ready when the capture begins.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Shelf:
 
 
 class StoryCameras(SimulatedCameras):
-    """Simulated cameras that know beforehand what most states of the lamps look like.
+    """Simulated cameras that know beforehand how most states of the lamps are photographed.
 
     Args:
         root: folder for all of them, new.
@@ -75,7 +75,7 @@ class StoryCameras(SimulatedCameras):
         return Shelf(self._shelves / hashlib.sha256(state).hexdigest()[:16])
 
     def recall(self, levels: np.ndarray) -> bool:
-        """Put what is kept for these levels before the lenses; False where nothing is."""
+        """Put what is kept for these (n,) levels before the lenses; False where nothing is."""
         shelf = self.shelf(levels).folder
         if not shelf.is_dir():
             return False

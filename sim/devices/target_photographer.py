@@ -83,7 +83,7 @@ class TargetPhotographer:
             self._sensors = {key: sensor.exposed(factor) for key, sensor in self._sensors.items()}
 
     def settings(self) -> dict[str, dict[str, Any]]:
-        """Each camera's settings as its photographs will say (CameraSettings' names)."""
+        """Each camera's settings as its photographs will have them (CameraSettings' names)."""
         return exposed_with(self._sensors, self._lenses)
 
     def photograph(self, camera: Camera, levels: np.ndarray) -> bytes:

@@ -32,13 +32,13 @@ class TargetStage:
         kind: as of TargetPhotographer.
         seed: of poses, lenses, sensors and noise.
         flaws: what lamps, lens, room and sensor do.
-        wires: (n,) channel of each lamp, whatever the rig says; as it says where absent.
+        wires: (n,) channel of each lamp, whatever the rig has; the rig's where absent.
 
     Attributes:
         rig_path: rig.json.
         cameras_path: the cameras file.
         device: the LED device.
-        photographer: what lies before the cameras.
+        photographer: what is before the cameras.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class TargetStage:
             kind: what the command is asked to take.
             more: further arguments.
             answers: given in order in place of Enter, at each question; then Enter.
-            echo: hears letter by letter what the command says, and the answers.
+            echo: receives letter by letter what the command prints, and the answers.
         """
         child = subprocess.Popen(
             self.arguments(lab, kind, *more),
@@ -118,15 +118,15 @@ class TargetStage:
         assert child.stdout is not None
         assert child.stderr is not None
         left = list(answers)
-        said, line = "", ""
+        printed, line = "", ""
         try:
             while letter := child.stderr.read(1):
                 echo(letter)
-                said += letter
+                printed += letter
                 line = "" if letter == "\n" else line + letter
-                asked = _POSE.match(line)
-                if letter == " " and asked and not line[asked.end() :]:
-                    self.hold(int(asked[1]) - 1)
+                prompt = _POSE.match(line)
+                if letter == " " and prompt and not line[prompt.end() :]:
+                    self.hold(int(prompt[1]) - 1)
                 if line.endswith("q stops: "):
                     answer = (left.pop(0) if left else "") + "\n"
                     child.stdin.write(answer)
@@ -139,7 +139,7 @@ class TargetStage:
             child.terminate()
             child.wait()
             raise
-        return subprocess.CompletedProcess(child.args, child.wait(), out, said)
+        return subprocess.CompletedProcess(child.args, child.wait(), out, printed)
 
     def _show(self, levels: np.ndarray) -> None:
         with self._lock:

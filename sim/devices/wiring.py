@@ -10,9 +10,9 @@ from lightstage.rig import Rig
 
 
 def wires_of(rig: Rig) -> np.ndarray:
-    """(n,) channel of each lamp, where the stage is wired as its rig says."""
-    told = [None if lamp.address is None else lamp.address.channel for lamp in rig.lights]
-    return np.array([place if each is None else each for place, each in enumerate(told)])
+    """(n,) channel of each lamp, where the stage is wired as in its rig."""
+    channels = [None if lamp.address is None else lamp.address.channel for lamp in rig.lights]
+    return np.array([place if each is None else each for place, each in enumerate(channels)])
 
 
 def shuffled_wires(rig: Rig, seed: int) -> np.ndarray:

@@ -14,7 +14,7 @@ class Glare:
     """Light that a lens scatters over the picture, and its ghost on the other side of the axis.
 
     Attributes:
-        veil: share of the picture's mean light that lies on every pixel.
+        veil: share of the picture's mean light that is on every pixel.
         haze: share that is smeared around each place over `haze_share` of the picture's height.
         ghost: share that comes again turned by half a turn around the picture's middle.
     """

@@ -21,9 +21,9 @@ LEAST_F0, MOST_F0 = 0.01, 0.07
 
 
 def material(name: str, subject: Subject, stretch: float = 1.0) -> dict[str, Any]:
-    """What Mitsuba is told of a material.
+    """Mitsuba's description of a material.
 
-    At normal incidence it mirrors what the subject's specular albedo says; of the light that
+    At normal incidence it mirrors the subject's specular albedo; of the light that
     enters it the subject's diffuse albedo comes out again, but for `principled`, whose authors
     take what is mirrored off nothing.
 
@@ -89,7 +89,7 @@ def _plastic(alpha: float) -> dict[str, Any]:
 
 
 def below_interface(albedo: np.ndarray, alpha: float) -> np.ndarray:
-    """Reflectance of the base of `roughplastic` whose entered light comes out again as told.
+    """Reflectance of the base of `roughplastic` whose entered light comes out again as given.
 
     Of the light that entered, M rho / (1 - f rho) comes out after all rounds below the interface;
     M and f are read from two bases that Mitsuba is asked for.

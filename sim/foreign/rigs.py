@@ -15,7 +15,7 @@ LOW_DEG = 8.0
 
 
 def on_planes(rig: Rig, turn_deg: float = HALF_ARC_DEG, within_deg: float = LOW_DEG) -> Rig:
-    """A rig some of whose lights lie on the planes that split the gradients.
+    """A rig some of whose lamps are on the planes that split the gradients.
 
     Half of such a light's level is nobody's by rights: to which side a pattern counts it is chance.
 

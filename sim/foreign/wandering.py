@@ -28,13 +28,13 @@ def scales_mm(albedo: np.ndarray) -> np.ndarray:
 
 
 def profile(radius_mm: np.ndarray, scale_mm: float) -> np.ndarray:
-    """R at distances above 0, per mm^2."""
+    """R at (...) distances above 0, per mm^2."""
     r = np.asarray(radius_mm, float) / scale_mm
     return np.asarray((np.exp(-r) + np.exp(-r / 3)) / (8 * np.pi * r * scale_mm**2))
 
 
 def within(radius_mm: np.ndarray, scale_mm: float) -> np.ndarray:
-    """Share of the light that leaves nearer than distances."""
+    """Share of the light that leaves nearer than (...) distances."""
     r = np.asarray(radius_mm, float) / scale_mm
     return np.asarray(1 - np.exp(-r) / 4 - 3 * np.exp(-r / 3) / 4)
 

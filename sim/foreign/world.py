@@ -37,7 +37,7 @@ Effect = Callable[[str, np.ndarray], np.ndarray]
 
 
 def as_they_are(_: str, pictures: np.ndarray) -> np.ndarray:
-    """A camera that does nothing."""
+    """A camera that does nothing to its (s, h, w, 3) pictures."""
     return pictures
 
 
@@ -102,7 +102,7 @@ class ForeignWorld(ReferenceWorld):
         )
 
     def photograph(self, camera_id: str, levels: np.ndarray) -> np.ndarray:
-        """As `ReferenceWorld`'s, through the camera's effect."""
+        """As `ReferenceWorld`'s, with its shapes, through the camera's effect."""
         return self.effect(camera_id, super().photograph(camera_id, levels))
 
     def light_at(self, points: Points, weights: np.ndarray) -> np.ndarray:
@@ -145,13 +145,13 @@ class ForeignWorld(ReferenceWorld):
             together = max(1, CHUNK // max(len(some), 1))
             for start in range(0, len(lit), together):
                 group = lit[start : start + together]
-                leaves = self._asked(some, group, bsdf)
+                leaves = self._evaluated(some, group, bsdf)
                 shares = (weights[:, group] * strength[group, None]).astype(np.float32)
                 for channel in range(3):
                     out[:, part, channel] += shares[:, :, channel] @ leaves[channel]
         return out
 
-    def _asked(self, points: Points, group: np.ndarray, bsdf: Any) -> np.ndarray:
+    def _evaluated(self, points: Points, group: np.ndarray, bsdf: Any) -> np.ndarray:
         """(3, k, n) light of n points under each of k lamps by itself, of unit intensity."""
         mi = mitsuba(LLVM)
         import drjit

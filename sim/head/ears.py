@@ -23,7 +23,7 @@ def ear_share(points: np.ndarray) -> np.ndarray:
     """(rows + 1, columns + 1) 0..1: how much of each grid point is ear; `points` the cast grid."""
     row, column = _square()
     across = np.interp(column, _COLUMNS, _BACK)
-    # The square's corners lie flat on the head.
+    # The square's corners are flat on the head.
     wide = np.where(across < 0, 1.08, 1.0) * np.abs(across)
     egg = smoothstep(1.27, 1.19, (wide**3 + np.abs(row) ** 3) ** (1 / 3))
     return np.asarray(
@@ -54,8 +54,8 @@ def relief_mm(across: np.ndarray, row: np.ndarray) -> np.ndarray:
     """How far the ear's outer side stands off the head.
 
     Args:
-        across: -1 at the front to 1 at the rim.
-        row: -1 at the lobe to 1 at the top.
+        across: (...) -1 at the front to 1 at the rim.
+        row: (...) -1 at the lobe to 1 at the top.
 
     Returns:
         mm: the bowl (concha) before the rim (helix) and the ridge inside it (antihelix), the flap

@@ -51,7 +51,7 @@ class Rays:
 
 
 def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
-    """0 below `low`, 1 above `high`, smooth between."""
+    """(...) values: 0 below `low`, 1 above `high`, smooth between."""
     t = np.clip((x - low) / (high - low), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
@@ -91,7 +91,7 @@ def almond(position: np.ndarray, peak: float) -> np.ndarray:
     """Height of a lid over the line between the corners, 0..1.
 
     Args:
-        position: -1 at the inner corner, +1 at the outer one.
+        position: (...) -1 at the inner corner, +1 at the outer one.
         peak: where the lid is highest.
     """
     p = np.clip(position, -1.0, 1.0)

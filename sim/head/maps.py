@@ -32,7 +32,7 @@ def to_tile(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
 
 
 def to_window(values: np.ndarray, rows: int, columns: int, first: int, last: int) -> np.ndarray:
-    """Rows `first` to `last` of `to_tile`; rows beyond the tile repeat its edge."""
+    """Rows `first` to `last` of `to_tile`, of its shapes; rows beyond the tile repeat its edge."""
     grid = np.asarray(values)[grid_vertices()].astype(np.float32)
     row, column = (np.arange(first, last) + 0.5) / rows, (np.arange(columns) + 0.5) / columns
     x, y = np.meshgrid((column * COLUMNS).astype(np.float32), (row * ROWS).astype(np.float32))
@@ -48,7 +48,7 @@ def region_map(name: str, rows: int, columns: int) -> np.ndarray:
 
 
 def tile_rows_columns(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where texel centres lie on the vertex grid: (rows,) rows and (columns,) columns of it."""
+    """Where texel centres are on the vertex grid: (rows,) rows and (columns,) columns of it."""
     u, v = texel_uv(rows, columns)
     return (1 - v) * ROWS, u * COLUMNS
 

@@ -40,13 +40,13 @@ def cone(
 
 
 def join(a: np.ndarray, b: np.ndarray, blend_mm: float) -> np.ndarray:
-    """Smooth union (polynomial) with a fillet of about `blend_mm`."""
+    """Smooth union (polynomial) of two (...) distances with a fillet of about `blend_mm`."""
     h = np.clip(0.5 + 0.5 * (b - a) / blend_mm, 0.0, 1.0)
     return b + (a - b) * h - blend_mm * h * (1.0 - h)
 
 
 def carve(a: np.ndarray, b: np.ndarray, blend_mm: float) -> np.ndarray:
-    """Smooth difference: a without b."""
+    """Smooth difference of two (...) distances: a without b."""
     return -join(-a, b, blend_mm)
 
 

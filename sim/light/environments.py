@@ -81,7 +81,7 @@ def add_sun(radiance: np.ndarray, direction: np.ndarray, irradiance: np.ndarray)
 
 
 def texel_of(direction: np.ndarray, rows: int) -> tuple[int, int]:
-    """Row and column that a unit direction falls on."""
+    """Row and column that a (3,) unit direction falls on."""
     x, y, z = (float(part) for part in direction)
     row = int(np.arccos(np.clip(y, -1, 1)) / np.pi * rows)
     column = int((np.arctan2(x, z) / (2 * np.pi) + 0.5) * 2 * rows)

@@ -1,4 +1,4 @@
-"""Lamps: what the stage's lights really shine, as opposed to what the rig says of them."""
+"""Lamps: what the stage's lights really shine, as opposed to what the rig has of them."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Lamps:
 
 
 def lamps_of(rig: Rig, config: LampConfig | None = None, seed: int = 0) -> Lamps:
-    """The lamps that stand where the rig says, with a seeded spread of what they shine.
+    """The lamps at the rig's places, with a seeded spread of what they shine.
 
     Args:
         rig: positions and the gains that were measured.

@@ -18,7 +18,7 @@ upright lenses the lamps to be removed are those that reflect little anyway; wit
 those that reflect most, and cross keeps more than ten times as much.
 
 A photograph without a polariser on the lens is `World.photograph`, whose lamps are unpolarised and
-as strong. Light that has lost its polarisation reaches the sensor by half: twice the cross shot is
+as strong. Half of light that has lost its polarisation reaches the sensor: twice the cross shot is
 the diffuse light of that bank, and the parallel shot holds half the diffuse light and the specular.
 
 How much specular light a cross shot keeps is `facet_shares`: a share 1 / extinction each of lamp

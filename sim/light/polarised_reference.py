@@ -76,7 +76,7 @@ def stokes_picture(
     Args:
         mesh: the subject, mm, shaded by its smooth normals.
         camera: without distortion, its centre of projection in the picture's middle.
-        lamp_mm: (3,) where the lamp stands; it faces the origin.
+        lamp_mm: (3,) where the lamp is; it faces the origin.
         lamp_axis: (3,) the field that its polariser passes; None: no polariser.
         skin: of the whole subject.
         config: samples and bounces.

@@ -50,7 +50,7 @@ def portrait(
         light: a pattern's name, or an environment's (`sim.light.relight.environment_lights`).
         config: of an environment.
         seed: of the street's houses.
-        progress: of lights; the reference tells nothing.
+        progress: of lights; the reference reports none.
         reference: path-traced, with bounces and subsurface scattering, in place of the fast path.
 
     Returns:
@@ -95,7 +95,7 @@ def require_light(light: str, rig: Rig) -> None:
 
 
 def _levels(light: str, rig: Rig) -> np.ndarray:
-    """(m,) levels of a pattern; SimError tells environments beside patterns."""
+    """(m,) levels of a pattern; SimError names environments beside patterns."""
     try:
         return pattern_levels(light, rig)
     except PatternError as error:

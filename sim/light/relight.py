@@ -167,7 +167,7 @@ def relit(
 
 
 def auto_exposure(picture: np.ndarray, white: float = 0.75) -> float:
-    """The factor that brings the bright end (97 %) of what is not background to `white`."""
+    """The factor that brings the bright end (97 %) of a (h, w, 3) picture's subject to `white`."""
     bright = picture @ LUMINANCE
     seen = bright[bright > 0]
     level = float(np.quantile(seen, 0.97)) if len(seen) else 0.0

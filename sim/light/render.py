@@ -73,7 +73,7 @@ def _through(table: np.ndarray, row: int, part: float, cosine: float) -> float:
 
 @numba.njit(cache=True, inline="always", error_model="numpy")
 def _row(table: np.ndarray, roughness: float) -> tuple[int, Any]:
-    """Where a roughness lies in the table."""
+    """Where a roughness is in the table."""
     steps = table.shape[0] - 1
     place = math.sqrt(min(max(roughness, _0), _ROUGHEST) / _ROUGHEST) * np.float32(steps)
     row = min(int(place), steps - 1)
@@ -237,7 +237,7 @@ class Lobe:
             )
 
     def of(self, chosen: np.ndarray | slice) -> Lobe:
-        """The lobes of some of the points."""
+        """The lobes of some of the points, a slice or (k,) indices."""
         if self.tangent is None or self.anisotropy is None:
             return self
         return Lobe(self.distribution, self.tangent[chosen], self.anisotropy[chosen])

@@ -110,7 +110,7 @@ class Scene:
         return face.astype(np.int32), weights, distance
 
     def blocked(self, start_mm: np.ndarray, target_mm: np.ndarray) -> np.ndarray:
-        """(n,) bool: whether anything lies between (n, 3) starts and (n, 3) targets."""
+        """(n,) bool: whether anything is between (n, 3) starts and (n, 3) targets."""
         rays = np.concatenate([start_mm, target_mm - start_mm], axis=1).astype(np.float32)
         # 0.999: a camera or light that stands on a surface must not hide behind it.
         return self._rays.test_occlusions(open3d.core.Tensor(rays), tnear=0.0, tfar=0.999).numpy()
@@ -185,7 +185,7 @@ class Scene:
         )
 
     def _lobe(self, face: np.ndarray, weights: np.ndarray, uvs: np.ndarray) -> Lobe:
-        """The lobes' shape at points: stretched along the UV's u tangent where the map says so."""
+        """The lobes' shape at points: stretched along the UV's u tangent where the map has it."""
         subject = self.subject
         if subject.anisotropy is None:
             return Lobe(subject.distribution)

@@ -11,7 +11,7 @@ SAME_SURFACE_MM = 4.0
 
 @numba.njit(cache=True, inline="always")
 def _faces(position: np.ndarray, normal: np.ndarray, light: np.ndarray) -> bool:
-    """Whether a light stands above a point's horizon."""
+    """Whether a light is above a point's horizon."""
     x, y, z = light[0] - position[0], light[1] - position[1], light[2] - position[2]
     return x * normal[0] + y * normal[1] + z * normal[2] > 0.0
 
@@ -32,7 +32,7 @@ def mark_coarse(
 
 @numba.njit(cache=True)
 def set_bits(bits: np.ndarray, points: np.ndarray, lights: np.ndarray) -> None:
-    """Set the bit of each pair of point and light."""
+    """Set, in (n, ceil(m / 8)) bits, those of k pairs of point and light, (k,) each."""
     for i in range(len(points)):
         bits[points[i], lights[i] >> 3] |= np.uint8(1 << (lights[i] & 7))
 

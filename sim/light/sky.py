@@ -3,7 +3,7 @@
 The sky of our own has the luminance of the CIE's standard clear sky (type 12) [Darula2002] and a
 colour that turns from blue overhead to what the air mass leaves of white near the horizon; the sun
 is reddened by Rayleigh's and the haze's extinction along Kasten and Young's air mass [Kasten1989].
-It looks like a sky and has a sky's contrasts; Mitsuba's (Hosek and Wilkie [Hosek2012]) is the one
+It resembles a sky and has a sky's contrasts; Mitsuba's (Hosek and Wilkie [Hosek2012]) is the one
 to measure with.
 """
 
@@ -27,7 +27,7 @@ DISC_SAMPLES = 256
 
 @dataclasses.dataclass(frozen=True)
 class SkyConfig:
-    """Where the sun stands, and the air.
+    """The sun's place, and the air.
 
     Attributes:
         elevation_deg: of the sun, above 0 and up to 90.
@@ -46,7 +46,7 @@ class SkyConfig:
     rows: int = 256
 
     def __post_init__(self) -> None:
-        """SimError when a value lies outside its range."""
+        """SimError when a value is outside its range."""
         limits = {
             "elevation_deg": (0.5, 90.0),
             "azimuth_deg": (-360.0, 360.0),

@@ -2,7 +2,7 @@
 
 Rays from the head meet two rows of houses of different height and colour along the street, the
 ground between them, or the sky of `sim.light.sky`. Walls and ground are diffusers lit by the sun,
-where no house of the opposite row stands in its way, and by the sky they see; windows mirror the
+where no house of the opposite row is in its way, and by the sky they see; windows mirror the
 sky on the other side. One bounce, no more: a picture to light a face with, not a picture of a
 street.
 """

@@ -112,8 +112,8 @@ def transmittance(
     """T and its cosine-weighted mean, interpolated as `sim.light.render` does.
 
     Args:
-        cosine: of any shape, clamped to 0..1.
-        roughness: m, broadcast against `cosine`, clamped to 0..MAX_ROUGHNESS.
+        cosine: (...) clamped to 0..1.
+        roughness: (...) m, broadcast against `cosine`, clamped to 0..MAX_ROUGHNESS.
         distribution: ``beckmann`` or ``ggx``.
 
     Returns:

@@ -44,7 +44,7 @@ class World:
             subject: who sits in the stage.
             rig: lights and cameras.
             progress: counts cameras.
-            lamps: in the rig's order; what the rig says of them where absent.
+            lamps: in the rig's order; the rig's own data of them where absent.
             samples: rays a pixel and side at silhouettes and depth edges: 1 draws them in steps,
                 3 casts nine rays in every such pixel of a photograph, which then shows the mean.
         """
@@ -82,7 +82,7 @@ class World:
         Args:
             camera_id: the view.
             weights: (s, m, 3) what a white diffuser at the origin facing each light would read.
-            chosen: which of the n pixels of `surfaces[camera_id]`.
+            chosen: a slice or (k,) indices of the pixels of `surfaces[camera_id]`.
 
         Returns:
             (s, n, 3) float32.
@@ -94,7 +94,7 @@ class World:
     def parts(
         self, camera_id: str, weights: np.ndarray, chosen: np.ndarray | slice = EVERY
     ) -> tuple[np.ndarray, np.ndarray]:
-        """As `pixels`, the diffuse and the specular part apart."""
+        """As `pixels`, with its shapes, the diffuse and the specular part apart."""
         surface, bits = self.surfaces[camera_id], self._bits[camera_id]
         shape = (len(weights), len(surface.pixel[chosen]), 3)
         diffuse, specular = np.zeros(shape, np.float32), np.zeros(shape, np.float32)

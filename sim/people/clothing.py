@@ -16,7 +16,7 @@ DOWN = 24
 CHIN = 8
 """Number of the chin among the landmarks."""
 BELOW_CHIN_MM = 20.0
-"""Where a collar's upper edge lies."""
+"""Where a collar's upper edge is."""
 SLICE_MM = 15.0
 """Half the height of the part of the neck that a collar is fitted to."""
 CLEARANCE_MM = 8.0
@@ -47,7 +47,7 @@ def collar(subject: Subject) -> Mesh:
         raise SimError(
             f"subject {subject.name}",
             found="no neck below the chin",
-            expected="a mesh that goes on below it",
+            expected="a mesh that continues below it",
         )
     middle = (neck.min(axis=0) + neck.max(axis=0)) / 2
     off = neck - middle

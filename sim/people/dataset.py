@@ -42,7 +42,7 @@ BYTES_A_WORKER = 0.6 * 2**30
 TEXELS_A_SCAN = 300_000
 """Head and occlusion of a scan take as long as painting so many texels of its skin."""
 TEXELS_A_WORKER = 1_000_000
-"""A process takes seconds to begin: less work is not worth it."""
+"""A process takes seconds to begin: less work does not justify it."""
 MADE_FROM = "made_from.json"
 SEED_LIMIT = 2**32
 
@@ -197,7 +197,7 @@ def write_sessions(plan: Plan, progress: ProgressCallback = quiet) -> int:
 
 
 def workers(rows: int, scans: int) -> int:
-    """How many processes the cores and the free memory allow, and the work is worth.
+    """How many processes the cores, the free memory and the work justify.
 
     Args:
         rows: of the maps.

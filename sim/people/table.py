@@ -25,7 +25,7 @@ class PeopleTable:
 
     Attributes:
         name: of the table.
-        subjects: how many people it stands for.
+        subjects: how many people it represents.
         sex: share of each of `sim.people.traits.SEXES`.
         age: (from, to, share) of years, in order.
         tone: share of each of `sim.people.traits.TONES`.

@@ -69,7 +69,7 @@ def hair_over_ear(subject: Subject, seed: int) -> Mesh:
     beside = marks[np.argmax(marks[:, 0])]
     rng = np.random.default_rng([seed, 52])
     flats = []
-    # The ear lies behind where the jaw's line begins.
+    # The ear is behind where the jaw's line begins.
     for z in rng.uniform(beside[2] - 45, beside[2] + 5, STRANDS):
         high = np.linspace(45, -30 + rng.uniform(-6, 10), 16)
         back = z + rng.normal(0, 3) * np.linspace(0, 1, len(high)) ** 2

@@ -1,7 +1,7 @@
 """Light that reaches skin from other skin.
 
 Rays from coarse nodes of the surface find the skin they face. The first bounce carries what leaves
-that skin toward the node, its mirror included, asked of the lamps at the very place hit; later
+that skin toward the node, its mirror included, computed for the lamps at the very place hit; later
 bounces go between nodes, by the diffuse part alone. What arrives is smooth, so nodes 2 to 3 mm
 apart hold it; the relief's normals do not turn it.
 """

@@ -1,6 +1,6 @@
 """The sum over lamps as one of Dr.Jit's recorded loops. Imported only where LLVM works.
 
-Dr.Jit reads the function's text and turns its `while` into a loop of the machine, so it stands at
+Dr.Jit reads the function's text and turns its `while` into a loop of the machine, so it is at
 the top of a module and takes its names from there.
 """
 

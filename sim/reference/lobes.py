@@ -2,7 +2,7 @@
 
 Skin is a rough dielectric of n = 1.4 over a layer that scatters. Mitsuba's diffuse part is
 K T(v) T(l) albedo / pi, its T tabulated: the share of light that the facets seen from a direction
-let through, n = 1.4. K stands for what the inside mirrors back, and is not what conserves energy
+let through, n = 1.4. K is what the inside mirrors back, and is not what conserves energy
 for a rough interface: K times the mean of T is .97 at m = .1 and .88 at m = .3. We keep T and
 scale the lobe so that all light that entered leaves again where the albedo is one:
 
@@ -84,7 +84,7 @@ class Interface:
         self.exits = np.full((len(ROUGHNESSES), TABLE), np.nan)
 
     def rows(self, roughness: np.ndarray) -> np.ndarray:
-        """Places between the tables' rows, within their range; rows are filled when first used."""
+        """Places (...) between the tables' rows, within range; rows are filled when first used."""
         step = ROUGHNESSES[1] - ROUGHNESSES[0]
         last = len(ROUGHNESSES) - 1
         places = (np.asarray(roughness, float) - ROUGHNESSES[0]) / step
@@ -97,11 +97,11 @@ class Interface:
         return places
 
     def entry(self, cosine: np.ndarray, roughness: np.ndarray) -> np.ndarray:
-        """T at cosines of the angle to the light."""
+        """T at (...) cosines of the angle to the light."""
         return self._between(self.enters, cosine, self.rows(roughness))
 
     def exit(self, cosine: np.ndarray, roughness: np.ndarray) -> np.ndarray:
-        """X at cosines of the angle to the viewer, kept above `MIN_COSINE`."""
+        """X at (...) cosines of the angle to the viewer, kept above `MIN_COSINE`."""
         return self._between(self.exits, np.maximum(cosine, MIN_COSINE), self.rows(roughness))
 
     def _between(self, table: np.ndarray, cosine: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -140,7 +140,7 @@ def facets_mirror(distribution: str, roughness: float) -> float:
 
 
 def fresnel(cosine: np.ndarray) -> np.ndarray:
-    """Unpolarised reflectance of n = 1.4 by Fresnel's formulas [BornWolf1999]."""
+    """Unpolarised reflectance (...) of n = 1.4 at (...) cosines by Fresnel [BornWolf1999]."""
     inside = np.sqrt(1 - (1 - cosine**2) / INDEX**2)
     crossed = (cosine - INDEX * inside) / (cosine + INDEX * inside)
     parallel = (INDEX * cosine - inside) / (INDEX * cosine + inside)
@@ -148,7 +148,7 @@ def fresnel(cosine: np.ndarray) -> np.ndarray:
 
 
 def levels_of(roughness: np.ndarray, step: float) -> np.ndarray:
-    """Roughness rounded to multiples of a step, float64, at least `MIN_ROUGHNESS`."""
+    """(...) roughness rounded to multiples of a step, float64, at least `MIN_ROUGHNESS`."""
     return np.round(np.maximum(np.round(roughness / step) * step, MIN_ROUGHNESS), 6)
 
 

@@ -47,7 +47,7 @@ class Points:
         return len(self.position)
 
     def part(self, chosen: np.ndarray | slice) -> Points:
-        """The chosen ones of these points."""
+        """The chosen ones of these points, a slice or (k,) indices."""
         return Points(*(getattr(self, f.name)[chosen] for f in dataclasses.fields(self)))
 
 

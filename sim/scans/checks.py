@@ -62,7 +62,7 @@ def unit_of(
     Args:
         mesh: in the file's unit.
         landmarks: (68, 3) in the file's unit, NaN where unknown, or None.
-        assumed_mm: what the user or the format says a unit is.
+        assumed_mm: the unit by the user or the format.
         where: named in the message.
 
     Returns:
@@ -108,7 +108,7 @@ def check_scan(
         where: named in messages.
         config: what is refused.
         flip: turn all triangles over first.
-        up: unit direction of the crown, to tell the neck's edge from a hole.
+        up: unit direction of the crown, to distinguish the neck's edge from a hole.
 
     Returns:
         The mesh without zero-area triangles, and what was found.
@@ -248,7 +248,7 @@ def openings_mm(mesh: Mesh, up: np.ndarray) -> tuple[tuple[float, ...], float]:
 
     Args:
         mesh: triangles, vertices merged.
-        up: unit direction of the crown.
+        up: (3,) unit direction of the crown.
     """
     edges, counts = edge_counts(mesh.faces)
     border = edges[counts == 1]

@@ -87,10 +87,10 @@ def import_scan(
     save_subject(person, out, {"from": file.name, **report.facts()})
     seconds = time.monotonic() - begun
     holes = report.mesh.holes_mm
-    said = counted(len(holes), "hole") + (f" (up to {holes[0]:.0f} mm)" if holes else "")
+    holes_in_words = counted(len(holes), "hole") + (f" (up to {holes[0]:.0f} mm)" if holes else "")
     finish(
         f"{out}: {called}, {counted(len(person.mesh.faces), 'triangle')}, "
-        f"{report.mesh.zero_area} without area dropped, {said}, "
+        f"{report.mesh.zero_area} without area dropped, {holes_in_words}, "
         f"one unit = {report.mm_per_unit:g} mm, {counted(report.landmarks, 'landmark')}, "
         f"made up: {', '.join(report.made_up)}, {seconds:.1f} s",
         {

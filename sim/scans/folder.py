@@ -50,7 +50,7 @@ def save_subject(subject: Subject, path: Path, facts: dict[str, Any] | None = No
     Args:
         subject: the person; maps are kept as 32-bit floats.
         path: a new folder, or one with a subject in it, which is replaced.
-        facts: what else is worth knowing, such as where it was imported from; kept as "import".
+        facts: what else to record, such as where it was imported from; kept as "import".
 
     Returns:
         `path`.
@@ -88,7 +88,7 @@ def save_subject(subject: Subject, path: Path, facts: dict[str, Any] | None = No
 
 
 def require_free(path: Path) -> None:
-    """SimError when `save_subject` would refuse `path`: told before the work, not after it."""
+    """SimError when `save_subject` would refuse `path`: raised before the work, not after it."""
     taken = path.is_file() or (path.is_dir() and any(path.iterdir()))
     if taken and not (path / MARKER).is_file():
         raise SimError(

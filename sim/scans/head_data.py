@@ -1,4 +1,4 @@
-"""Where the optional head data lie; they are not part of this project."""
+"""Where the optional head data are; they are not part of this project."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def head_data_folder(name: str, holds: str) -> Path | None:
-    """A folder of the data that LIGHTSTAGE_DATA names, or that lie beside the checkout.
+    """A folder of the data that LIGHTSTAGE_DATA names, or that are beside the checkout.
 
     Args:
         name: of the folder.

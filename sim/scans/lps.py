@@ -88,7 +88,7 @@ def fine_detail(albedo: np.ndarray, scale: float) -> np.ndarray:
 
     Args:
         albedo: (rows, columns, 3) linear.
-        scale: texels of `DETAIL_TEXEL_MM`; the band lies between .25 and 4 mm.
+        scale: texels of `DETAIL_TEXEL_MM`; the band is between .25 and 4 mm.
 
     Returns:
         (rows, columns) float32.
@@ -176,7 +176,7 @@ def _read_picture(path: Path, rows: int) -> np.ndarray:
 
 
 def linear_of(srgb: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB values 0..1 ([IEC61966]), float32."""
+    """Linear light (...) of (...) sRGB values 0..1 ([IEC61966]), float32."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).astype(
         np.float32
     )
@@ -200,7 +200,7 @@ def template_landmarks() -> np.ndarray:
 
 
 def head_from_landmarks(landmarks_mm: np.ndarray) -> np.ndarray:
-    """(3, 4) rigid motion that lays landmarks best onto the template's (least squares, no scale).
+    """(3, 4) rigid motion that fits landmarks best to the template's (least squares, no scale).
 
     Source: [Kabsch1976].
 

@@ -59,7 +59,7 @@ def scan_maps(
 
     Args:
         scan: with a colour.
-        mesh: as it stands in the stage.
+        mesh: as it is in the stage.
         head_mm: (n, 3) its vertices in the head frame.
         marks_mm: (68, 3) landmarks in the head frame, NaN where unknown.
         rows: of the maps; None for the colour's own.

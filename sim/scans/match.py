@@ -27,7 +27,7 @@ def carried(
     landmarks_mm: np.ndarray,
     anchors: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
-    """Points of another head where they would lie on ours.
+    """Points of another head where they would be on ours.
 
     A thin-plate spline in space (its kernel is |r|, [Bookstein1989] in three dimensions) carries
     the other head's landmarks onto ours.
@@ -35,7 +35,7 @@ def carried(
     Args:
         points_mm: (n, 3) of the other head with a closed mouth, head frame.
         landmarks_mm: (68, 3) iBUG landmarks of it, NaN where unknown.
-        anchors: more points of the other head (k, 3) and where they lie on ours (k, 3).
+        anchors: more points of the other head (k, 3) and where they are on ours (k, 3).
 
     Returns:
         (n, 3) mm.
@@ -65,11 +65,11 @@ def own_uv(carried_mm: np.ndarray, with_eyes: bool = True) -> tuple[np.ndarray, 
 
     Args:
         carried_mm: (n, 3) from `carried`.
-        with_eyes: whether points may lie on our eyeballs; not when the other head's eyeballs are
+        with_eyes: whether points may be on our eyeballs; not when the other head's eyeballs are
             parts of their own, so that lids stay lids.
 
     Returns:
-        (n, 2) float64 UV in 0..1, and (n,) how far the points lie off our head, mm.
+        (n, 2) float64 UV in 0..1, and (n,) how far the points are off our head, mm.
     """
     mesh = neutral_mesh()
     scene, triangles = _own_scene(with_eyes)

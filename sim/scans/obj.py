@@ -16,7 +16,7 @@ def read_textured_obj(path: Path) -> ScanFile:
     """Read a scan.
 
     Args:
-        path: the .obj; its material files lie beside it. A .obj that names none has no textures.
+        path: the .obj; its material files are beside it. A .obj that names none has no textures.
 
     Returns:
         The mesh as triangles, in the file's own unit and axes.

@@ -22,7 +22,7 @@ BOX_MM = 200.0
 
 
 def millimetres(scan: ScanFile, units: str | None) -> float:
-    """Of one unit: what the user says, else the format, else 1; SimError when it is no unit."""
+    """Of one unit: the user's, else the format's, else 1; SimError when it is no unit."""
     if units is None:
         return 1.0 if scan.mm_per_unit is None else scan.mm_per_unit
     try:
@@ -80,7 +80,7 @@ def read_landmarks(path: Path) -> tuple[np.ndarray, bool]:
 
 
 def require_near(mesh: Mesh, marks: np.ndarray, where: Path, farthest_mm: float) -> None:
-    """SimError when landmarks (68, 3) mm lie off the surface by more than `farthest_mm`."""
+    """SimError when landmarks (68, 3) mm are off the surface by more than `farthest_mm`."""
     known = np.flatnonzero(np.isfinite(marks).all(axis=1))
     corners = mesh.vertices[mesh.faces]
     places = np.concatenate([mesh.vertices, corners.mean(axis=1)])
@@ -116,7 +116,7 @@ def require_fit(
 
 
 def head_from_box(mesh: Mesh) -> np.ndarray:
-    """(3, 4) shift that lays crown, front and middle of a head to our own's, without turning."""
+    """(3, 4) shift that brings crown, front and middle of a head to our own's, without turning."""
     boxes = []
     for points in (mesh.vertices, neutral_mesh().vertices):
         top = points[points[:, 1] > points[:, 1].max() - BOX_MM]

@@ -1,6 +1,6 @@
 """Any textured scan as a subject: unit, place, colour in linear light, and what it lacks made up.
 
-A scan's colour is photographed skin under even light. It is taken as diffuse albedo as it stands
+A scan's colour is photographed skin under even light. It is taken as diffuse albedo as it is
 (sRGB decoded to linear light): what shading and gloss the photographs baked in stays in. Gloss,
 roughness and, without a normal map, the finest relief were not measured; they are made from the
 colour's fine detail.
@@ -42,7 +42,7 @@ class ScanConfig:
 
     Attributes:
         units: ``mm``, ``cm``, ``m``, or millimetres a unit as a number; None for what the format
-            says (glTF: metres), mm where it says nothing (OBJ).
+            has (glTF: metres), mm where it has none (OBJ).
         rows: of the textures; None for the colour texture's own. Columns keep its proportion.
         flip_v: the file's v runs against its format's rule.
         flip_normals: its triangles look inward.
@@ -100,8 +100,8 @@ def import_scan(
 
     With landmarks the head is turned and put upright into the stage, its head frame is theirs, and
     the skin that is scored is our own head's skin carried over. Without, the file must have +y up
-    and the face toward +z (glTF's rule): crown and nose tip are laid at the height and depth of our
-    own head's, every texel counts as skin, and landmarks are unknown (NaN).
+    and the face toward +z (glTF's rule): crown and nose tip are placed at the height and depth of
+    our own head's, every texel counts as skin, and landmarks are unknown (NaN).
 
     Args:
         path: .glb, .gltf or .obj.

@@ -35,7 +35,7 @@ class ScanFile:
     Attributes:
         where: the file.
         mesh: triangles in the file's own unit and axes; UV in OBJ's sense (v upward) or None.
-        mm_per_unit: what the format says of its unit: glTF has metres, OBJ nothing (None).
+        mm_per_unit: the format's unit: glTF has metres, OBJ none (None).
         colour: albedo texture, or None.
         colour_factor: linear, multiplies the colour.
         normals: tangent-space normals, or None.
@@ -98,7 +98,7 @@ def merged(
     uvs: np.ndarray | None,
     face_uvs: np.ndarray | None,
 ) -> Mesh:
-    """A mesh whose vertices are one where they lie in one place; UV keep their own indices.
+    """A mesh whose vertices are one where they are in one place; UV keep their own indices.
 
     Files repeat a vertex at each UV seam; the surface itself has none. Vertices of no face are
     left out: they are no part of the head and would count for its size.

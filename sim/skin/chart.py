@@ -18,7 +18,7 @@ class Chart:
     """A picture over a rectangle of a plane, here of the face seen from the front.
 
     Attributes:
-        picture: (h, w) float32; zero at its border, since that is what lies beyond.
+        picture: (h, w) float32; zero at its border, since that is what is beyond.
         left: plane's first coordinate of the left edge, mm.
         top: second coordinate of the upper edge, mm; it falls downward.
         pixel: size of a pixel, mm.

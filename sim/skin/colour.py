@@ -34,7 +34,7 @@ class Spots:
 
 @dataclasses.dataclass(frozen=True)
 class Marks:
-    """What lies on a person's skin: moles and age spots (melanin), pimples (blood)."""
+    """What is on a person's skin: moles and age spots (melanin), pimples (blood)."""
 
     moles: Spots
     age_spots: Spots
@@ -42,7 +42,7 @@ class Marks:
 
 
 def person_marks(c: Complexion, rng: np.random.Generator) -> Marks:
-    """Draw a person's marks; they lie at the same places at every texture size."""
+    """Draw a person's marks; they are at the same places at every texture size."""
     points = to_tile(neutral_mesh().vertices, PLACE_ROWS, PLACE_COLUMNS)
     masks = place_masks()
     front = (masks["skin"] > 0.99) & (points[..., 2] > -20)
@@ -116,7 +116,7 @@ def _melanin_logs(patch: Patch, c: Complexion) -> np.ndarray:
     logs += 0.10 * m("temples") * (1 - dark)
 
     def freckle(distance: np.ndarray, label: np.ndarray) -> np.ndarray:
-        # Few large and many small; each cell's number says how dark.
+        # Few large and many small; each cell's number decides how dark.
         return smoothstep(1.35, 0.5, distance / (0.22 + 0.55 * label**2)) * (0.35 + 0.65 * label)
 
     if c.freckles > 0:

@@ -23,7 +23,7 @@ def paint_eyes(
     What lids and lashes shade is part of the paint, as in any texture of a photographed eye.
 
     Args:
-        albedo: of the strip.
+        albedo: (h, columns, 3) of the strip.
         patch: where.
         iris: linear albedo of its middle zone.
         age: 0 to 1: the white yellows.

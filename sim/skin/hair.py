@@ -157,7 +157,7 @@ def scalp_share(patch: Patch, recession_mm: float, cover: float) -> tuple[np.nda
 
     Args:
         patch: where.
-        recession_mm: how far the hairline lies behind the usual one.
+        recession_mm: how far the hairline is behind the usual one.
         cover: 0 shaven to 1 dense.
 
     Returns:
@@ -175,7 +175,7 @@ def scalp_share(patch: Patch, recession_mm: float, cover: float) -> tuple[np.nda
     # Toward the hairline fewer and fewer strands are there at all.
     threshold = 1.7 - 4.3 * density * (0.55 + 0.45 * cover)
     strand = smoothstep(-0.7, 0.9, mixed - threshold)
-    # Between the strands others lie deeper: part of the cover is even.
+    # Between the strands others are deeper: part of the cover is even.
     share = (0.62 * strand + 0.38 * density**1.5) * smoothstep(0.0, 0.55, density)
     shade = 0.45 * mixed + 0.25 * tufts
     return (

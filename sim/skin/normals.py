@@ -65,7 +65,7 @@ def _bend(
 def _joined(
     position: np.ndarray, covered: np.ndarray, r: int, c: int, s: int, d: int, reach2: float
 ) -> bool:
-    """Whether a neighbouring texel lies on the same piece of the surface."""
+    """Whether a neighbouring texel is on the same piece of the surface."""
     if not covered[s, d]:
         return False
     away = 0.0

@@ -100,7 +100,7 @@ def make_skin(complexion: Complexion, face: Face, rng: np.random.Generator) -> S
     Args:
         complexion: its colours and strengths.
         face: our own tile (`face_of`) or any head's texture (`face_from`); its seed is the noise.
-        rng: where spots, hairs and lines lie. The same draws whatever the texture's size.
+        rng: where spots, hairs and lines are. The same draws whatever the texture's size.
 
     Returns:
         The maps.

@@ -1,4 +1,4 @@
-"""A face to be painted: where each texel of a texture lies on the head, worked on in strips.
+"""A face to be painted: where each texel of a texture is on the head, worked on in strips.
 
 A texture of 6144 x 4096 has 25 million texels, so nothing but the results is held at full size:
 the painter goes from strip to strip of rows. Smooth noise is evaluated on fewer texels and
@@ -36,7 +36,7 @@ STRIP_TEXELS = 1 << 20
 
 @dataclasses.dataclass(frozen=True)
 class Face:
-    """Where each texel lies on the head.
+    """Where each texel is on the head.
 
     Attributes:
         rows: of the texture.
@@ -116,13 +116,13 @@ class Patch:
         return self._place
 
     def azimuth_deg(self) -> np.ndarray:
-        """(h, columns) float32 how far from the middle of the face the grid's column lies."""
+        """(h, columns) float32 how far from the middle of the face the grid's column is."""
         table = np.abs(face_azimuth_deg())
         found = np.interp(self.column, np.arange(len(table)), table)
         return np.asarray(found, np.float32)
 
     def mouth_inside(self) -> np.ndarray:
-        """(h, columns) 0..1, what lies between the lips: a line when they are closed."""
+        """(h, columns) 0..1, what is between the lips: a line when they are closed."""
         between = smoothstep(1.05, 0.75, np.abs(self.row - ROW_MOUTH))
         if not between.any():
             return between
@@ -140,7 +140,7 @@ class Patch:
         return self._masks[name]
 
     def noise(self, cell_mm: float, count: int, salt: int) -> np.ndarray:
-        """(h, columns) smooth noise of unit deviation; `salt` tells fields apart."""
+        """(h, columns) smooth noise of unit deviation; `salt` separates fields."""
         return self.noise_of(lambda p: p, cell_mm, count, salt)
 
     def noise_of(
@@ -236,9 +236,9 @@ def face_from(
 ) -> Face:
     """A face on any head's texture, so that our skin can be painted on it.
 
-    Two things are needed for each texel: where it lies on the head that is to be painted, and
+    Two things are needed for each texel: where it is on the head that is to be painted, and
     which place of our own head that is. The first carries noise (pores stay round and of their
-    size in mm), the second all masks and drawn things (lips lie on the lips, hair on the scalp).
+    size in mm), the second all masks and drawn things (lips are on the lips, hair on the scalp).
     A registration by landmarks gives the second: the place of our UV of the nearest point of our
     base head fitted to it. `sim.skin.paint.make_skin` paints the result; for normals see
     `sim.skin.relief.bend_normals`.
@@ -247,7 +247,7 @@ def face_from(
         positions_mm: (rows, columns, 3), in our head frame, mm (face toward +z, y up); the neutral
             expression for every expression of a person, so that the skin stays on the face.
         tile_uv: (rows, columns, 2), the place in our UV (0..1, v upward) of the same point.
-        covered: (rows, columns) bool, texels that lie on the head; the others are filled from the
+        covered: (rows, columns) bool, texels that are on the head; the others are filled from the
             nearest covered texel and may hold anything, NaN too.
         seed: chooses the noise.
 
@@ -255,7 +255,7 @@ def face_from(
         What `make_skin` takes.
 
     Raises:
-        SimError: shapes differ, nothing is covered, or a covered texel is not finite or lies
+        SimError: shapes differ, nothing is covered, or a covered texel is not finite or is
             outside our UV by more than a thousandth.
     """
     positions, places = np.asarray(positions_mm, np.float32), np.asarray(tile_uv, np.float32)

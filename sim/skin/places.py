@@ -71,7 +71,7 @@ def _bent(values: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndar
 def place_masks() -> dict[str, np.ndarray]:
     """Soft masks 0..1 by name, each (PLACE_ROWS, PLACE_COLUMNS) float32 over our tile.
 
-    ``hairline`` is no mask but how far behind the hairline a place lies, mm.
+    ``hairline`` is no mask but how far behind the hairline a place is, mm.
     """
     points = to_tile(neutral_mesh().vertices, PLACE_ROWS, PLACE_COLUMNS)
     p = canonical(points)

@@ -1,4 +1,4 @@
-"""Balls: a grey one that shows each lamp's light, a mirror that shows where each lamp stands."""
+"""Balls: a grey one that shows each lamp's light, a mirror that shows where each lamp is."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Ball:
 def photograph_grey(
     ball: Ball, camera: Camera, lamps: Lamps, levels: np.ndarray, ambient: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A Lambertian ball alone in the stage; arguments and results as `photograph_plane`."""
+    """A Lambertian ball alone in the stage; arguments, shapes and results as `photograph_plane`."""
     light, depth, part = _empty(ball, camera)
     if part is None:
         return light, depth
@@ -53,7 +53,7 @@ def photograph_grey(
 def photograph_mirror(
     ball: Ball, camera: Camera, lamps: Lamps, levels: np.ndarray, ambient: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A mirror ball alone in the stage; arguments and results as `photograph_plane`.
+    """A mirror ball alone in the stage; arguments, shapes and results as `photograph_plane`.
 
     Each lamp is a sphere of its radius, as bright as its light asks. The room is seen as an even
     grey. Cameras are not seen in it.
@@ -103,7 +103,7 @@ def highlights_mm(ball: Ball, camera: Camera, lamps_mm: np.ndarray) -> np.ndarra
         lamps_mm: (m, 3) places of the lamps.
 
     Returns:
-        (m, 3) places on the ball, NaN where camera or lamp lies below the horizon there.
+        (m, 3) places on the ball, NaN where camera or lamp is below the horizon there.
     """
     to_camera = camera.centre_mm - ball.centre_mm
     to_lamp = np.asarray(lamps_mm, float) - ball.centre_mm

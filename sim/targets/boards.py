@@ -55,7 +55,7 @@ class BoardConfig:
         return np.asarray(self.board().getChessboardCorners())[:, :2].astype(float)
 
     def plane(self, world_from_target: np.ndarray) -> Plane:
-        """The board in the stage, its origin the outer corner of its first square."""
+        """The board in the stage by a (4, 4) pose; its origin: the first square's outer corner."""
         picture = _printed(self)
         corner = -round(self.margin_mm * self.texels_per_mm) / self.texels_per_mm
         height, width = (side / self.texels_per_mm for side in picture.shape[:2])

@@ -20,7 +20,7 @@ class Window:
 
     Attributes:
         camera: with the part's own size and centre.
-        rows: where it lies in the whole picture.
+        rows: where it is in the whole picture.
         columns: the same.
     """
 
@@ -30,7 +30,7 @@ class Window:
 
 
 def window(camera: Camera, pixels: np.ndarray) -> Window | None:
-    """The part of a picture in which (n, 2) places lie, a pixel more on each side; None: outside.
+    """The part of a picture in which (n, 2) places are, a pixel more on each side; None: outside.
 
     Places that are NaN (behind the camera) are left out.
     """
@@ -56,7 +56,7 @@ def window(camera: Camera, pixels: np.ndarray) -> Window | None:
 def corner_rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """(3,) origin and (h + 1, w + 1, 3) rays through the corners of all pixels.
 
-    A pixel's own rays lie between them: over one pixel a lens is as good as linear.
+    A pixel's own rays are between them: over one pixel a lens is as good as linear.
     """
     grown = dataclasses.replace(
         camera,

@@ -82,7 +82,7 @@ def photograph_plane(
     _draw(share, plane.reflectance if face else plain, FINER, shown, cover)
     seen = _white(plane, plane.normal if face else -plane.normal, lamps, levels, ambient)
     middle = _middles(share).astype(np.float32) * np.float32(GRID - 1)
-    # At the plane's edge a pixel's middle may lie beside it: it takes the edge's light.
+    # At the plane's edge a pixel's middle may be beside it: it takes the edge's light.
     shown *= cv2.remap(
         seen.astype(np.float32),
         np.nan_to_num(middle[..., 0]),

@@ -42,7 +42,7 @@ class TargetsConfig:
         board_poses: photographs of it.
         ball_radius_mm: of both balls.
         mirror_reflectance: of the mirror ball.
-        mirror_places_mm: where the mirror ball stands.
+        mirror_places_mm: where the mirror ball is.
         grey_reflectance: of the grey ball.
         chart_width_mm: of the 24-patch chart.
         flats: photographs of an even light that fills the lens.
@@ -91,12 +91,12 @@ def make_targets(
         )
     size = np.array([config.chart_width_mm, config.chart_width_mm * 11.25 / 16.75])
     patches = chart_patches_mm(config.chart_width_mm)
-    told = {"width_mm": config.chart_width_mm, "reflectance": chart_reflectance().tolist()}
+    target = {"width_mm": config.chart_width_mm, "reflectance": chart_reflectance().tolist()}
     for index, camera in enumerate(rig.cameras):
         pose = facing(camera.centre_mm, np.zeros(3), size)
         plane = chart_plane(config.chart_width_mm, pose)
         out[f"chart-{index:02d}"] = _flat_target(
-            plane, lamps, ambient, "chart", told, patches.mean(axis=1)
+            plane, lamps, ambient, "chart", target, patches.mean(axis=1)
         )
     for index, place in enumerate(config.mirror_places_mm):
         ball = Ball(np.array(place, float), config.ball_radius_mm, config.mirror_reflectance)
@@ -120,7 +120,7 @@ def write_targets(
 ) -> Path:
     """Write a session of targets as DNG files, and OUT.truth/targets.json.
 
-    All cameras expose a target alike, so that the brightest pixel lies at the sensors' headroom.
+    All cameras expose a target alike, so that the brightest pixel is at the sensors' headroom.
     An even light and darkness keep the session's own exposure.
 
     Args:
@@ -209,7 +209,7 @@ def _flat_target(
     lamps: Lamps,
     ambient: np.ndarray,
     kind: str,
-    told: dict[str, Any],
+    target: dict[str, Any],
     places_mm: np.ndarray,
 ) -> Target:
     full = np.ones(len(lamps.weights))
@@ -224,7 +224,7 @@ def _flat_target(
 
     truth = {
         "kind": kind,
-        **told,
+        **target,
         "world_from_target": plane.world_from_target.tolist(),
         "places_mm": places_mm.tolist(),
     }

@@ -66,10 +66,10 @@ def put(path, what):
 
 def wrong_end(ended):
     """What is wrong with how a command refused; empty where nothing is."""
-    said = ended.err.strip()
-    if ended.code == 2 and "Traceback" not in said and 0 < len(said) < 4000:
+    printed = ended.err.strip()
+    if ended.code == 2 and "Traceback" not in printed and 0 < len(printed) < 4000:
         return ""
-    return f"exit {ended.code}, {said[-400:]}"
+    return f"exit {ended.code}, {printed[-400:]}"
 
 
 def test_every_program_reads_toml_somewhere():

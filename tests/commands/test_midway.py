@@ -22,18 +22,18 @@ LEFT_BYTES = 8192
 @contextlib.contextmanager
 def ctrl_c_at(report):
     """Send Ctrl-C when a command reports its progress so many times; yields what it reported."""
-    told = []
+    lines = []
 
     def look(done, total):
-        told.append((done, total))
-        if len(told) == report:
+        lines.append((done, total))
+        if len(lines) == report:
             os.kill(os.getpid(), signal.SIGINT)
         stop_where_interrupted(done, total)
 
     stop_where_interrupted = progress._stop_where_interrupted
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(progress, "_stop_where_interrupted", look)
-        yield told
+        yield lines
 
 
 def bytes_below(folder):
@@ -45,9 +45,9 @@ def test_a_command_in_the_middle_is_stopped_by_ctrl_c_or_a_full_disk(
 ):
     folder = tmp_path / "Jörgs neuer Ordner & mehr"
     folder.mkdir()
-    with ctrl_c_at(None) as told:
+    with ctrl_c_at(None) as caught:
         ended = run_command(*command(folder / "ganz"))
-    reports = len(told)
+    reports = len(caught)
     assert ended.code == 0, ended
     needed = bytes_below(folder)
     assert needed > 0

@@ -68,6 +68,7 @@ RIGHT: dict[str, dict[str, str]] = {
     },
     "learning fit": {"photo": "portrait", "--template": "template", "--out": NEW},
     "learning detail": {"maps": "mesh's maps", "--mesh": "mesh", "--out": NEW},
+    "learning experiment": {"name": "ladder", "--data": "store", "--out": NEW},
     "learning evaluate": {"inferred": "maps", "--truth": "maps", "--out": NEW},
     "learning avatar": {"photo": "portrait", "--template": "template", "--out": NEW},
     "sim import-ict": {"path": "session", "--out": NEW},
@@ -112,7 +113,7 @@ RIGHT_TOO = {
 CHOICES = {
     "kind", "--drive", "--do", "--mode", "--background", "--shadows", "--light", "--until",
     "--sequence", "sequence", "--preset", "--flaws", "--people", "--camera",
-    "--format", "--scheme", "--recogniser-range",
+    "--format", "--scheme", "--recogniser-range", "--size", "--only",
 }  # fmt: skip
 """Options that take one of some words."""
 

@@ -27,9 +27,9 @@ def test_a_failing_step_stops_the_demo_with_its_status(
     bad = ("json.tool", str(tmp_path / "absent.json"))
     monkeypatch.setattr(demo_run, "steps", planned(("this",), bad, ("this",)))
     assert demo_run.run(DemoConfig("lps"), tmp_path / "demo") not in (0, 130)
-    said = capfd.readouterr()
-    assert "absent.json" in said.err
-    assert "step 1 ended with status" in said.err
+    printed = capfd.readouterr()
+    assert "absent.json" in printed.err
+    assert "step 1 ended with status" in printed.err
     done = json.loads((tmp_path / "demo" / "steps.json").read_text())["steps"]
     assert [step["name"] for step in done] == ["step 0"]
     assert done[0]["seconds"] > 0

@@ -156,8 +156,8 @@ class FirmwareProtocol(LedProtocol):
         self._bench.clock(int(1e3 * self._clock()))
 
     def _told(self) -> np.ndarray:
-        told = self._shining.told
+        stated = self._shining.reported
         if self.lies > 0:
             self.lies -= 1
-            told = np.bitwise_xor(told, 1)
-        return told
+            stated = np.bitwise_xor(stated, 1)
+        return stated

@@ -67,10 +67,10 @@ def drawn_stream(rng: np.random.Generator, lights: int, count: int) -> tuple[byt
         kind = KINDS[rng.integers(len(KINDS))]
         payload = b""
         if kind == Kind.SET:
-            told = lights if rng.random() < 0.9 else int(rng.integers(400))
-            there = told if rng.random() < 0.9 else int(rng.integers(400))
+            stated = lights if rng.random() < 0.9 else int(rng.integers(400))
+            there = stated if rng.random() < 0.9 else int(rng.integers(400))
             levels = rng.integers(0, 65536, there) * (rng.random(there) < 0.7)
-            payload = struct.pack("<H", told) + levels.astype("<u2").tobytes()
+            payload = struct.pack("<H", stated) + levels.astype("<u2").tobytes()
             payload = payload[: len(payload) - int(rng.random() < 0.1)]
         elif rng.random() < 0.1:
             payload = rng.bytes(int(rng.integers(1, 600)))

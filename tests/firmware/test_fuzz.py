@@ -16,9 +16,9 @@ def test_no_damaged_frame_lights_a_lamp_and_no_sanitizer_finds_anything(
         [compiled("fuzz", lights), str(inputs), "1"], capture_output=True, text=True
     )
     assert (done.returncode, done.stderr) == (0, ""), done.stdout
-    told = [int(number) for number in re.findall(r"\d+", done.stdout)]
-    assert told[0] == inputs
-    damaged, whole, replies, changes, silences = told[1:]
+    printed = [int(number) for number in re.findall(r"\d+", done.stdout)]
+    assert printed[0] == inputs
+    damaged, whole, replies, changes, silences = printed[1:]
     # It was put to the test: half were damaged, many were whole and did something.
     assert damaged > 0.4 * inputs
     assert whole > 0.3 * inputs

@@ -20,13 +20,13 @@ def test_nothing_is_called_but_what_any_compiler_calls_by_itself(tmp_path) -> No
     assert make("size", f"OUT={tmp_path}").returncode == 0
     objects = sorted((tmp_path / "small").glob("*.o"))
     assert [path.name for path in objects] == ["device.o", "packet.o", "sha256.o"]
-    told = subprocess.run(
+    printed = subprocess.run(
         ["nm", "--undefined-only", "--format=just-symbols", *objects],
         capture_output=True,
         text=True,
         check=True,
     ).stdout.split()
-    names = {word for word in told if not word.endswith(":") and not word.startswith("ls_")}
+    names = {word for word in printed if not word.endswith(":") and not word.startswith("ls_")}
     # No heap, no system: gcc wants these four of any board, and some builds guard the stack.
     assert names <= {"memcpy", "memmove", "memset", "memcmp", "__stack_chk_fail"}
 
@@ -38,7 +38,7 @@ def test_there_is_no_state_but_the_callers(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("define", "said"),
+    ("define", "message"),
     [
         ("-DLS_LIGHTS=0", "LS_LIGHTS must be 1 to 65535"),
         ("-DLS_LIGHTS=65536", "LS_LIGHTS must be 1 to 65535"),
@@ -49,10 +49,10 @@ def test_there_is_no_state_but_the_callers(tmp_path) -> None:
         (f'-DLS_FIRMWARE=\\"{"n" * 250}\\"', "a_reply_is_short"),
     ],
 )
-def test_a_limit_out_of_range_is_refused_by_the_compiler(define, said) -> None:
+def test_a_limit_out_of_range_is_refused_by_the_compiler(define, message) -> None:
     checked = make("check", f"DEFINES={define}", "CHECKED=lightstage_leds/src/device.c")
     assert checked.returncode != 0
-    assert said in checked.stderr
+    assert message in checked.stderr
 
 
 @pytest.mark.parametrize(
@@ -67,10 +67,10 @@ def test_a_limit_at_its_bound_compiles(define) -> None:
 def test_what_a_byte_costs_does_not_grow_with_the_frame(compiled) -> None:
     most = {}
     for lights in (3, 168):
-        told = subprocess.run(
+        printed = subprocess.run(
             [compiled("steps", lights), "2000", "1"], capture_output=True, text=True, check=True
         )
-        most[lights] = [int(number) for number in told.stdout.split()]
+        most[lights] = [int(number) for number in printed.stdout.split()]
     # Basic blocks of code: of any byte but the last of a whole packet, and of that one.
     assert most[3][0] == most[168][0] < 25
     # The levels are taken over and hashed, once.

@@ -112,10 +112,9 @@ def test_a_network_that_no_machine_holds_is_refused_before_it_is_built():
         preset("paper", {"generator": {"width": 1024, "downsamplings": 8}}, "run.toml")
 
 
-def test_a_rendering_loss_without_environments_is_refused_for_that():
-    with pytest.raises(ConfigError, match=r"environments: found 0, expected at least 1 with a"):
-        preset("demo", {"environments": 0}, "run.toml")
-    preset("demo", {"environments": 0, "render_weight": 0.0}, "run.toml")
+def test_a_rendering_loss_may_have_no_environment_but_the_input_s_own():
+    assert preset("demo", {"environments": 0}, "run.toml").draws == 0
+    assert preset("demo", {"environments": 0, "render_weight": 0.0}, "run.toml").draws == 0
 
 
 def test_a_training_that_no_loss_ties_to_the_truth_is_refused():

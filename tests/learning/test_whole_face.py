@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from learning.augment import AugmentConfig
 from learning.checkpoint import load_generator, load_whole_face, shipped_weights
+from learning.devices import CPU
 from learning.encoding import shrink
 from learning.errors import CheckpointError, MapsError
 from learning.maps import to_batch
@@ -48,11 +49,17 @@ PLAIN = FacesConfig(shadow_sets=3, white_balance=0.0, noise=0.0, partial_share=0
 OWN = AugmentConfig(melanin=0.0, haemoglobin=0.0)
 
 
-def faces_of(store_path: Path, config: FacesConfig = PLAIN, skins: AugmentConfig = OWN) -> Faces:
+def faces_of(
+    store_path: Path,
+    config: FacesConfig = PLAIN,
+    skins: AugmentConfig = OWN,
+    lit_on: torch.device = CPU,
+) -> Faces:
     store = open_store(store_path)
     people = {scan.subject for scan in store.scans}
     rng = np.random.default_rng(0)
-    return Faces(store, people, SIZE, config, RandomLightConfig(), skins, rng)
+    lights = RandomLightConfig()
+    return Faces(store, people, SIZE, config, lights, skins, rng, lit_on=lit_on)
 
 
 def stopping_after(steps: int) -> ProgressCallback:

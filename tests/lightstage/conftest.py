@@ -26,11 +26,11 @@ from crc import Calculator, Crc16
 
 from lightstage.rig import Camera, Light, Rig, look_at, save_rig
 
-UNTOLD = [
+NOT_REPORTED = [
     *("serial", "mode", "iso", "white_balance", "image_format", "focus"),
     *("owner", "artist", "copyright", "place"),
 ]
-"""What libgphoto2's virtual camera cannot tell."""
+"""What libgphoto2's virtual camera cannot report."""
 
 CRC = Calculator(Crc16.IBM_3740, optimized=True)
 BALL_PX = 13.0
@@ -206,7 +206,7 @@ def dng() -> Callable[..., bytes]:
 @pytest.fixture
 def stage(tmp_path: Path) -> Iterator[Stage]:
     rig = make_rig()
-    text = f"allow_unverifiable = {json.dumps(UNTOLD)}\n"
+    text = f"allow_unverifiable = {json.dumps(NOT_REPORTED)}\n"
     seeds = []
     for camera in rig.cameras:
         folder = tmp_path / "virtual" / camera.id

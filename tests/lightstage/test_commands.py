@@ -108,9 +108,9 @@ def test_a_texture_with_nan_exits_2_with_one_message_and_nothing_half_written(te
     write_exr(texture, image)
     done = run(texture, tmp_path / "out")
     assert (done.returncode, done.stdout) == (2, "")
-    log, said = done.stderr.split("FormatError: ")
+    log, text = done.stderr.split("FormatError: ")
     assert re.fullmatch(rf"use: begun\nuse: stopped after {SECONDS}\n", log)
-    assert said == (
+    assert text == (
         f"{texture}, element (1, 2, 0): found 1 NaN or infinite value, "
         "expected finite numbers. Mask such texels (0) before passing the map on.\n"
     )

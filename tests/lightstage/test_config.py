@@ -47,7 +47,7 @@ def test_values_override_defaults_nested_too():
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "message"),
     [
         ({"mod": "fast"}, "t, mod: found an unknown key, expected one of inner, limit_mm, mode"),
         ({"inner": {"size": 1}}, r"t, \[inner\], size: found an unknown key"),
@@ -62,8 +62,8 @@ def test_values_override_defaults_nested_too():
         ({"limit_mm": "far"}, "limit_mm: found 'far'"),
     ],
 )
-def test_unknown_keys_and_wrong_types_are_refused(values, said):
-    with pytest.raises(ConfigError, match=said):
+def test_unknown_keys_and_wrong_types_are_refused(values, message):
+    with pytest.raises(ConfigError, match=message):
         make_config(Outer, values, "t")
 
 
@@ -94,7 +94,7 @@ class Bounded:
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "message"),
     [
         ({"size_px": 0}, "size_px: found 0, expected from 1 to 100"),
         ({"size_px": 101}, "size_px: found 101"),
@@ -104,8 +104,8 @@ class Bounded:
         ({"share": -1.0, "size_px": -1}, "2 problems"),
     ],
 )
-def test_a_number_outside_its_bounds_is_refused(values, said):
-    with pytest.raises(ConfigError, match=said):
+def test_a_number_outside_its_bounds_is_refused(values, message):
+    with pytest.raises(ConfigError, match=message):
         make_config(Bounded, values, "t")
     assert make_config(Bounded, {"size_px": 100, "share": 0, "on": True}, "t").share == 0
 

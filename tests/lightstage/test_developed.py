@@ -120,7 +120,7 @@ def plain_srgb(value):
 def test_without_a_profile_values_are_srgb_in_all_their_bits(tmp_path, dtype, write):
     codes = ramp(dtype)
     found = read(tmp_path, write(codes))
-    assert (found.bits, found.told, found.profile) == (8 * codes.itemsize, False, "sRGB")
+    assert (found.bits, found.has_profile, found.profile) == (8 * codes.itemsize, False, "sRGB")
     expected = plain_srgb(codes / np.iinfo(dtype).max)
     np.testing.assert_allclose(found.rgb, expected, atol=1e-6)
     assert found.clipped == 0
@@ -131,7 +131,7 @@ def test_a_profile_says_what_values_mean(tmp_path, kind):
     codes = ramp()
     write = {"png": png, "tiff": tiff, "jpeg": jpeg}[kind]
     found = read(tmp_path, write(codes, profile=icc()))
-    assert (found.told, found.profile) == (True, "Made here")
+    assert (found.has_profile, found.profile) == (True, "Made here")
     light = (codes / 255.0) ** 2.19921875
     expected = light @ np.array(ADOBE) @ np.linalg.inv(np.array(SRGB))
     np.testing.assert_allclose(found.rgb, expected, atol=0.03 if kind == "jpeg" else 1e-3)
@@ -157,7 +157,7 @@ def test_curves_of_all_kinds_are_read():
 
 
 @pytest.mark.parametrize(
-    ("profile", "said"),
+    ("profile", "message"),
     [
         (icc(space=b"CMYK"), "one of CMYK colours"),
         (icc(leave_out=(b"rTRC",)), "without curves and a matrix"),
@@ -166,8 +166,8 @@ def test_curves_of_all_kinds_are_read():
         (icc(colorants=((0, 0, 0),) * 3), "cannot be"),
     ],
 )
-def test_a_profile_that_cannot_be_used_is_one_message(tmp_path, profile, said):
-    with pytest.raises(FormatError, match=f"ICC profile: found .*{said}"):
+def test_a_profile_that_cannot_be_used_is_one_message(tmp_path, profile, message):
+    with pytest.raises(FormatError, match=f"ICC profile: found .*{message}"):
         read(tmp_path, tiff(ramp(), profile))
 
 
@@ -236,9 +236,9 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_what_does_not_tell_light_is_one_message(tmp_path, name):
-    data, said = BAD[name]
+    data, message = BAD[name]
     (tmp_path / "a.jpg").write_bytes(data)
-    with pytest.raises(FormatError, match=rf"a\.jpg: .*({said})"):
+    with pytest.raises(FormatError, match=rf"a\.jpg: .*({message})"):
         open_photograph(tmp_path / "a.jpg")
 
 
@@ -281,10 +281,10 @@ def test_developed_pictures_become_a_session_that_is_checked_and_decoded(
 ):
     found = import_session(folder, small_rig, tmp_path / "S", "p1", "neutral")
     assert found.frames == 9
-    told = " ".join(map(str, found.findings))
-    assert "3 JPEG of 8 bits, no profile, taken for sRGB" in told
-    assert "3 PNG of 16 bits" in told
-    assert "tone curve" in told
+    stated = " ".join(map(str, found.findings))
+    assert "3 JPEG of 8 bits, no profile, taken for sRGB" in stated
+    assert "3 PNG of 16 bits" in stated
+    assert "tone curve" in stated
     session = load_session(tmp_path / "S")
     assert {frame.encoding for frame in session.file.frames} == {"linear"}
     assert {frame.path[-4:] for frame in session.file.frames} == {".exr"}

@@ -118,16 +118,16 @@ def test_each_system_error_names_its_file_and_what_to_expect(tmp_path):
     ):
         with pytest.raises(OSError, match="Errno") as raised:
             path.open("wb").close()
-        told = explain(raised.value)
-        assert isinstance(told, DiskError)
-        assert (told.where, told.found) == (str(path), found)
+        stated = explain(raised.value)
+        assert isinstance(stated, DiskError)
+        assert (stated.where, stated.found) == (str(path), found)
 
 
 @pytest.mark.parametrize("number", sorted(errno.errorcode))
 def test_every_error_number_of_the_system_is_explained(number):
-    told = explain(OSError(number, os.strerror(number), "/x"))
-    assert told is not None
-    assert told.found
+    stated = explain(OSError(number, os.strerror(number), "/x"))
+    assert stated is not None
+    assert stated.found
 
 
 def test_errors_of_codecs_are_explained(tmp_path):

@@ -9,7 +9,7 @@ from lightstage.findings import accepted_in_words, two_digits
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "message"),
     [
         (0.0, "0"),
         (5.0, "5"),
@@ -24,8 +24,8 @@ from lightstage.findings import accepted_in_words, two_digits
         (math.nan, "nan"),
     ],
 )
-def test_numbers_are_told_in_plain_figures_without_a_power_of_ten(value, said):
-    assert two_digits(value) == said
+def test_numbers_are_told_in_plain_figures_without_a_power_of_ten(value, message):
+    assert two_digits(value) == message
 
 
 def test_one_is_one_and_two_are_several():

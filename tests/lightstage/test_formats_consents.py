@@ -47,7 +47,7 @@ def test_what_is_agreed_to_is_let_through_to_the_last_day(registry: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("purpose", "consent", "day", "said"),
+    ("purpose", "consent", "day", "message"),
     [
         ("publication", "C-1", DAY, "C-1 (P) covers capture, research, training"),
         ("research", "C-2", DAY + datetime.timedelta(days=1), "C-2 (P) ended on 2026-06-15"),
@@ -59,11 +59,11 @@ def test_what_is_agreed_to_is_let_through_to_the_last_day(registry: Path) -> Non
     ],
 )
 def test_what_is_not_agreed_to_is_refused_with_id_and_purpose(
-    registry: Path, purpose: str, consent: str | None, day: datetime.date, said: str
+    registry: Path, purpose: str, consent: str | None, day: datetime.date, message: str
 ) -> None:
     with pytest.raises(LightstageError) as error:
         read_consents(registry).require(purpose, {"P": consent}, day)  # type: ignore[arg-type]
-    assert said in str(error.value)
+    assert message in str(error.value)
     assert str(registry) in str(error.value)
 
 
@@ -78,7 +78,7 @@ def test_json_says_the_same_as_toml(registry: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ('[[consent]]\nid = "C-1"\npurposes = []\n' * 2, "found id C-1 twice"),
         ('[[consent]]\nid = "Ann"\npurposes = []\n', "expected an id with a digit"),
@@ -93,12 +93,12 @@ def test_json_says_the_same_as_toml(registry: Path, tmp_path: Path) -> None:
         ("consent = 3\n", "found other keys"),
     ],
 )
-def test_a_registry_that_is_wrong_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_a_registry_that_is_wrong_is_refused(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "consents.toml"
     path.write_text('schema = "lightstage.consents/1"\n' + text)
     with pytest.raises(LightstageError) as error:
         read_consents(path)
-    assert said in str(error.value)
+    assert message in str(error.value)
 
 
 def test_without_a_registry_nobody_is_refused(tmp_path: Path) -> None:

@@ -80,7 +80,7 @@ def test_a_light_set_survives_its_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("lights", "said"),
+    ("lights", "message"),
     [
         ([{"position_mm": [0, 0, 0], "rgb": [1, 1, 1]}], "a light at the origin"),
         ([{"position_mm": [0, 0, 900], "rgb": [1, -1, 1]}], "NaN or negative"),
@@ -89,10 +89,10 @@ def test_a_light_set_survives_its_file(tmp_path):
         ([{"position_mm": [0, 900], "rgb": [1, 1, 1]}], "position_mm and rgb"),
     ],
 )
-def test_a_malformed_light_set_is_refused(tmp_path, lights, said):
+def test_a_malformed_light_set_is_refused(tmp_path, lights, message):
     path = tmp_path / "e.json"
     path.write_text(json.dumps({"schema": "lightstage.environment/1", "lights": lights}))
-    with pytest.raises(FormatError, match=said):
+    with pytest.raises(FormatError, match=message):
         read_lights(path)
 
 

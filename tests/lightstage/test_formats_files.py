@@ -116,7 +116,7 @@ def test_json_with_nan_is_refused_and_leaves_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("{", "a readable JSON file"),
         ("[]", "schema: found None"),
@@ -125,10 +125,10 @@ def test_json_with_nan_is_refused_and_leaves_nothing(tmp_path):
         ('{"schema": "other/1"}', "expected 'lightstage.rig/1'"),
     ],
 )
-def test_json_of_another_kind_is_refused(tmp_path, text, said):
+def test_json_of_another_kind_is_refused(tmp_path, text, message):
     path = tmp_path / "a.json"
     path.write_text(text)
-    with pytest.raises(FormatError, match=said) as caught:
+    with pytest.raises(FormatError, match=message) as caught:
         read_json(path, "lightstage.rig/1")
     assert str(path) in str(caught.value)
 

@@ -34,7 +34,7 @@ def test_points_survive_their_files_with_hidden_ones(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "message"),
     [
         ({"scheme": "w300", "points_mm": []}, "scheme"),
         ([], "scheme"),
@@ -47,10 +47,10 @@ def test_points_survive_their_files_with_hidden_ones(tmp_path):
         ({"scheme": "ibug68", "points_mm": [None] * 67 + [["a", 1, 2]]}, r"points_mm\[67\]"),
     ],
 )
-def test_other_landmarks_are_refused(tmp_path, value, said):
+def test_other_landmarks_are_refused(tmp_path, value, message):
     path = tmp_path / "l.json"
     path.write_text(json.dumps(value))
-    with pytest.raises(FormatError, match=said):
+    with pytest.raises(FormatError, match=message):
         read_points_mm(path)
 
 

@@ -79,7 +79,7 @@ def test_a_ply_mesh_survives_its_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "0 vertices, 0 faces"),
         ("v 0 0 0\n", "1 vertex, 0 faces"),
@@ -95,8 +95,8 @@ def test_a_ply_mesh_survives_its_file(tmp_path):
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\n", "a face of 2 corners"),
     ],
 )
-def test_a_damaged_obj_is_refused(tmp_path, text, said):
-    with pytest.raises(FormatError, match=said) as caught:
+def test_a_damaged_obj_is_refused(tmp_path, text, message):
+    with pytest.raises(FormatError, match=message) as caught:
         read_obj(obj(tmp_path, text))
     assert "m.obj" in str(caught.value)
 

@@ -21,31 +21,32 @@ def folder(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "said",
+    "message",
     [
         *("", "..", "../outside.txt", "frames/../../outside.txt", "frames/..", "/etc/passwd"),
         *("//etc", "a\0b", "a\nb", "\x1b[31m", "frames\\cam0.dng", "C:\\x", "\ud800", "\u202ea"),
         *("link-out", "link-out/outside.txt", "loop", "loop/x", None, 3, ["frames"], {"a": 1}),
     ],
 )
-def test_a_path_that_leaves_its_folder_is_refused(folder, said):
-    with pytest.raises(FormatError) as told:
-        path_inside(folder, said, "session.json", "frames[0].path")
-    assert str(told.value).startswith("session.json, frames[0].path: found ")
-    assert str(told.value).isprintable()
+def test_a_path_that_leaves_its_folder_is_refused(folder, message):
+    with pytest.raises(FormatError) as caught:
+        path_inside(folder, message, "session.json", "frames[0].path")
+    assert str(caught.value).startswith("session.json, frames[0].path: found ")
+    assert str(caught.value).isprintable()
 
 
 @pytest.mark.parametrize(
-    "said", ["frames/cam0.dng", "frames/not there.dng", "link-in/cam0.dng", "a..b", "ä/😀.dng", "."]
+    "message",
+    ["frames/cam0.dng", "frames/not there.dng", "link-in/cam0.dng", "a..b", "ä/😀.dng", "."],
 )
-def test_a_path_inside_the_folder_is_taken_as_it_is(folder, said):
-    assert path_inside(folder, said, "session.json") == folder / said
-    assert path_inside(folder.relative_to(folder.parent), said, "s") is not None
+def test_a_path_inside_the_folder_is_taken_as_it_is(folder, message):
+    assert path_inside(folder, message, "session.json") == folder / message
+    assert path_inside(folder.relative_to(folder.parent), message, "s") is not None
 
 
 def test_a_path_of_any_length_ends_in_an_answer(folder):
-    for said in ("x" * 5000, "x/" * 4000 + "x"):
-        assert path_inside(folder, said, "s") == folder / said
+    for message in ("x" * 5000, "x/" * 4000 + "x"):
+        assert path_inside(folder, message, "s") == folder / message
 
 
 def test_a_folder_that_is_a_link_itself_keeps_its_files(folder, tmp_path):
@@ -54,15 +55,16 @@ def test_a_folder_that_is_a_link_itself_keeps_its_files(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "said", ["cam0", "x+", "lin-x+", "olat-000", "full@cross", "Kamera_ä", "7"]
+    "message", ["cam0", "x+", "lin-x+", "olat-000", "full@cross", "Kamera_ä", "7"]
 )
-def test_a_plain_name_is_taken(said):
-    assert check_name(said, "rig.json", "cameras[0].id") == said
+def test_a_plain_name_is_taken(message):
+    assert check_name(message, "rig.json", "cameras[0].id") == message
 
 
 @pytest.mark.parametrize(
-    "said", ["", ".", "..", "../X", "a/b", ".hidden", "-x", "a b", "a\0", "a\n", "x" * 101, 3, None]
+    "message",
+    ["", ".", "..", "../X", "a/b", ".hidden", "-x", "a b", "a\0", "a\n", "x" * 101, 3, None],
 )
-def test_an_id_that_names_no_file_is_refused(said):
+def test_an_id_that_names_no_file_is_refused(message):
     with pytest.raises(ConfigError, match=r"rig\.json, cameras\[0\]\.id: found .*becomes the name"):
-        check_name(said, "rig.json", "cameras[0].id", ConfigError)
+        check_name(message, "rig.json", "cameras[0].id", ConfigError)

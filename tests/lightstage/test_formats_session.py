@@ -79,7 +79,7 @@ def test_recorded_levels_are_believed_and_else_the_name(root, small_rig):
 
 
 @pytest.mark.parametrize(
-    ("fields", "said"),
+    ("fields", "message"),
     [
         ({"schema": "lightstage.session/2"}, "newer version"),
         ({"subject": None}, "subject: found None, expected Input should be a valid string"),
@@ -108,14 +108,14 @@ def test_recorded_levels_are_believed_and_else_the_name(root, small_rig):
         ),
     ],
 )
-def test_a_malformed_session_is_refused(root, fields, said):
+def test_a_malformed_session_is_refused(root, fields, message):
     change(root, **fields)
-    with pytest.raises(LightstageError, match=said):
+    with pytest.raises(LightstageError, match=message):
         load_session(root)
 
 
 @pytest.mark.parametrize(
-    ("fields", "said"),
+    ("fields", "message"),
     [
         ({"camera": "cam9"}, r"frames\[1\]: found cam9, expected a camera of rig.json"),
         ({"pattern": "y+"}, r"frames\[1\]: found y\+, expected a pattern of the sequence"),
@@ -125,9 +125,9 @@ def test_a_malformed_session_is_refused(root, fields, said):
         ({"encoding": "jpeg"}, r"frames\.1\.encoding"),
     ],
 )
-def test_a_frame_that_does_not_fit_is_named(root, fields, said):
+def test_a_frame_that_does_not_fit_is_named(root, fields, message):
     change_frame(root, **fields)
-    with pytest.raises(FormatError, match=said):
+    with pytest.raises(FormatError, match=message):
         load_session(root)
 
 

@@ -50,7 +50,7 @@ def test_what_is_written_is_read(points, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "said"),
+    ("field", "value", "message"),
     [
         ("scheme", "ibug68", "scheme: found 'ibug68'"),
         ("scheme", ["mediapipe468"], r"scheme: found \['mediapipe468'\]"),
@@ -69,7 +69,7 @@ def test_what_is_written_is_read(points, tmp_path):
         ("weights.0", {"a": 1}, r"weights\[0\]"),
     ],
 )
-def test_damaged_points_are_refused_by_name(points, tmp_path, field, value, said):
+def test_damaged_points_are_refused_by_name(points, tmp_path, field, value, message):
     path = write_surface_points(points, tmp_path / "mediapipe468.json")
     stored = copy.deepcopy(json.loads(path.read_text()))
     name, _, index = field.partition(".")
@@ -78,7 +78,7 @@ def test_damaged_points_are_refused_by_name(points, tmp_path, field, value, said
     else:
         stored[name] = value
     path.write_text(json.dumps(stored))
-    with pytest.raises(FormatError, match=said):
+    with pytest.raises(FormatError, match=message):
         read_surface_points(path, 50)
 
 

@@ -102,10 +102,10 @@ DAMAGE = {
 
 @pytest.mark.parametrize("name", DAMAGE)
 def test_each_fault_of_a_template_is_named(tmp_path, template, name):
-    damage, said = DAMAGE[name]
+    damage, message = DAMAGE[name]
     path = save_template(template, tmp_path / "T")
     damage(path, template)
-    with pytest.raises(FormatError, match=said):
+    with pytest.raises(FormatError, match=message):
         load_template(path)
 
 

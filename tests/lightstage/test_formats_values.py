@@ -23,16 +23,16 @@ from lightstage.formats.values import (
 
 def said_of(path, read=read_value, error=FormatError):
     """The reader's message, which begins with the file's name."""
-    with pytest.raises(error) as told:
+    with pytest.raises(error) as caught:
         read(path)
-    said = str(told.value)
-    assert said.startswith(str(path))
-    assert len(said) < 600
-    return said
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert len(message) < 600
+    return message
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (b"[" * 200_000, "nested too deeply"),
         (b'{"a":' * 45 + b"1" + b"}" * 45, "nested too deeply"),
@@ -54,14 +54,14 @@ def said_of(path, read=read_value, error=FormatError):
         (b'{"a": 1} {"a": 2}', "expected a readable JSON file"),
     ],
 )
-def test_what_json_allows_and_a_program_stumbles_over_is_refused(tmp_path, text, said):
+def test_what_json_allows_and_a_program_stumbles_over_is_refused(tmp_path, text, message):
     path = tmp_path / "a.json"
     path.write_bytes(text)
-    assert said in said_of(path)
+    assert message in said_of(path)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (b"a = " + b"[" * 5000 + b"]" * 5000, "nested too deeply"),
         (b"a = " + b"9" * 9000, "expected valid TOML"),
@@ -77,11 +77,11 @@ def test_what_json_allows_and_a_program_stumbles_over_is_refused(tmp_path, text,
         (b"a = ", "expected valid TOML"),
     ],
 )
-def test_toml_is_read_within_the_same_limits(tmp_path, text, said):
+def test_toml_is_read_within_the_same_limits(tmp_path, text, message):
     path = tmp_path / "a.toml"
     path.write_bytes(text)
     for read in (read_toml_value, read_toml):
-        assert said in said_of(path, read, ConfigError)
+        assert message in said_of(path, read, ConfigError)
 
 
 @pytest.mark.parametrize(

@@ -108,11 +108,11 @@ def test_every_misnamed_or_missing_photograph_is_told_at_once(folder, small_rig)
     (folder / "x+" / "cam1.exr").unlink()
     with pytest.raises(Exception, match="4 problems") as caught:
         find_photographs(folder, small_rig)
-    said = str(caught.value)
-    assert "cam7.exr: found no camera of the rig" in said
-    assert "found a second photograph" in said
-    assert "x+/cam1: found no photograph" in said
-    assert "pattern 'z*'" in said
+    message = str(caught.value)
+    assert "cam7.exr: found no camera of the rig" in message
+    assert "found a second photograph" in message
+    assert "x+/cam1: found no photograph" in message
+    assert "pattern 'z*'" in message
 
 
 @pytest.mark.parametrize("damage", ["nan", "cut", "jpeg", "empty"])

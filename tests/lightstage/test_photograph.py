@@ -81,7 +81,7 @@ def test_an_exr_is_linear(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "message"),
     [
         (b"", "0 bytes, beginning with none"),
         (b"\xff\xd8\xff\xe1 Exif", "a JPEG"),
@@ -90,8 +90,8 @@ def test_an_exr_is_linear(tmp_path):
         (tiff("<", "Scanner"), "of no known maker"),
     ],
 )
-def test_what_holds_no_raw_light_is_refused(data, said):
-    with pytest.raises(FormatError, match=said):
+def test_what_holds_no_raw_light_is_refused(data, message):
+    with pytest.raises(FormatError, match=message):
         identify(data, "x")
 
 
@@ -125,13 +125,13 @@ def test_a_file_is_told_as_its_bytes_are(tmp_path_factory, noise, head):
     path = tmp_path_factory.getbasetemp() / "noise"
     path.write_bytes(head + noise)
 
-    def told(call):
+    def refusal(call):
         try:
             return call()
         except FormatError as error:
             return str(error)
 
-    assert told(lambda: identify_file(path, "x")) == told(lambda: identify(head + noise, "x"))
+    assert refusal(lambda: identify_file(path, "x")) == refusal(lambda: identify(head + noise, "x"))
 
 
 @pytest.mark.parametrize("cut", [0, 1, 500, 3000])

@@ -51,11 +51,11 @@ def test_no_part_of_an_error_carries_control_characters(part):
 
 
 def test_what_a_camera_tells_of_itself_is_printable(camera):
-    told = camera.open()
-    assert safe(told.model, LONGEST)
-    assert safe(told.firmware, LONGEST)
-    assert told.owner == ""
-    assert told.iso is None
+    summary = camera.open()
+    assert safe(summary.model, LONGEST)
+    assert safe(summary.firmware, LONGEST)
+    assert summary.owner == ""
+    assert summary.iso is None
 
 
 def test_a_drivers_error_and_its_last_words_are_printable(camera):

@@ -145,10 +145,10 @@ FAULTS = {
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_each_fault_of_a_rig_is_named(tmp_path, value, name):
-    damage, said = FAULTS[name]
+    damage, message = FAULTS[name]
     damage(value)
     path = write(tmp_path, value)
-    with pytest.raises(FormatError, match=said) as caught:
+    with pytest.raises(FormatError, match=message) as caught:
         load_rig(path)
     assert str(path) in str(caught.value)
 

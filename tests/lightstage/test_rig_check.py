@@ -34,10 +34,10 @@ def value():
 
 
 def test_a_rig_without_banks_is_read_written_and_refuses_polarised_patterns_alone(tmp_path):
-    said = value()
-    for light in said["lights"]:
+    printed = value()
+    for light in printed["lights"]:
         del light["bank"]
-    rig = rig_from_json(said, "rig.json")
+    rig = rig_from_json(printed, "rig.json")
     assert {light.bank for light in rig.lights} == {None}
     again = load_rig(save_rig(rig, tmp_path / "rig.json"))
     assert again.lights == rig.lights
@@ -61,29 +61,29 @@ def test_a_rig_without_banks_is_read_written_and_refuses_polarised_patterns_alon
     ],
 )
 def test_one_mistake_in_all_lights_is_one_line(damage):
-    said = value()
-    for light in said["lights"]:
+    printed = value()
+    for light in printed["lights"]:
         damage(light)
     with pytest.raises(FormatError, match="and 167 more") as caught:
-        rig_from_json(said, "rig.json")
+        rig_from_json(printed, "rig.json")
     assert "\n" not in str(caught.value)
 
 
 def test_unlike_mistakes_stay_apart():
-    said = value()
-    said["lights"][3]["bank"] = "left"
-    said["lights"][5]["rgb_gain"] = [-1, 1, 1]
-    said["cameras"][1]["fx_px"] = 0
+    printed = value()
+    printed["lights"][3]["bank"] = "left"
+    printed["lights"][5]["rgb_gain"] = [-1, 1, 1]
+    printed["cameras"][1]["fx_px"] = 0
     with pytest.raises(FormatError, match="3 problems"):
-        rig_from_json(said, "rig.json")
+        rig_from_json(printed, "rig.json")
 
 
 def test_a_stage_in_metres_is_noticed():
-    said = value()
-    for light in said["lights"]:
+    printed = value()
+    for light in printed["lights"]:
         light["position_mm"] = [x / 1000 for x in light["position_mm"]]
     with pytest.raises(FormatError, match=r"1\.25 mm radius.*Are they metres") as caught:
-        rig_from_json(said, "rig.json")
+        rig_from_json(printed, "rig.json")
     assert "\n" not in str(caught.value)
 
 
@@ -115,12 +115,6 @@ ODD = {
     "gain": changed(
         lights=tuple(
             dataclasses.replace(light, rgb_gain=(0.0, 0.0, 0.0)) if light.id == 3 else light
-            for light in default_rig().lights
-        )
-    ),
-    "controllers": changed(
-        lights=tuple(
-            dataclasses.replace(light, address=LightAddress(light.id, "ab"[light.id % 2]))
             for light in default_rig().lights
         )
     ),
@@ -180,6 +174,17 @@ def test_the_command_says_which_channels_a_rig_uses(tmp_path):
     done = CliRunner().invoke(app, ["rig", "check", str(rig), "--json"])
     assert done.exit_code == 0, done.output
     facts = json.loads(done.stdout.strip().splitlines()[-1])
-    assert (facts["addressed"], facts["channels"], facts["odd"]) == (True, [3, 170], [])
-    said = CliRunner().invoke(app, ["rig", "check", str(rig)]).stdout
-    assert "168 lights on channels 3 to 170, 9 cameras" in said
+    assert (facts["addressed"], facts["channels"], facts["odd"]) == (True, {"main": [3, 170]}, [])
+    message = CliRunner().invoke(app, ["rig", "check", str(rig)]).stdout
+    assert "168 lights on channels 3 to 170, 9 cameras" in message
+
+
+def test_the_command_says_which_channels_of_which_controller_a_rig_uses(tmp_path):
+    lights = [
+        dataclasses.replace(light, address=LightAddress(light.id // 2, "ab"[light.id % 2]))
+        for light in default_rig().lights
+    ]
+    rig = save_rig(changed(lights=tuple(lights)), tmp_path / "rig.json")
+    message = CliRunner().invoke(app, ["rig", "check", str(rig)]).stdout
+    assert "168 lights on channels 0 to 83 of a, channels 0 to 83 of b, 9 cameras" in message
+    assert "nothing odd" in message

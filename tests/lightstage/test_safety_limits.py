@@ -42,7 +42,7 @@ def test_both_limits_are_told_at_once(small_rig):
     config = SafetyConfig(light_interval_s=0.05, max_light_on_s=10.0)
     with pytest.raises(ConfigError) as caught:
         check_shots(shots, small_rig, config, shot_worst_s=6.0)
-    said = str(caught.value)
-    assert "flashes per second, expected at most 3" in said
-    assert "8 lights over the budget" in said
-    assert "up to 24 s" in said
+    message = str(caught.value)
+    assert "flashes per second, expected at most 3" in message
+    assert "8 lights over the budget" in message
+    assert "up to 24 s" in message

@@ -133,7 +133,8 @@ class Light:
         lobe = lobe / (4 * roughness**2 * nh2**2 * nv)
         shadows = unmasked(pixel.view, self.base, own, facets)
         shadows = shadows * unmasked(to_light, self.base, own, facets)
-        fresnel = np.interp(half @ pixel.view, np.linspace(0, 1, 257), TABLE)
+        table = TABLE if facets.rises else np.ones_like(TABLE)
+        fresnel = np.interp(half @ pixel.view, np.linspace(0, 1, 257), table)
         lobe = np.where(inside, lobe * shadows * fresnel, 0)
         return e, strength @ (lobe * pixel.mirrored)
 

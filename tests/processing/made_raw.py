@@ -123,8 +123,8 @@ def write_raw_session(
     for pattern, cameras in photographs.items():
         for camera, rgb in cameras.items():
             path = root / "frames" / pattern / f"{camera}.dng"
-            told = (exposures or {}).get(pattern, (1 / 60, 100, 8.0))
-            write_dng(path, counts_of(rgb), exposure=told)
+            stated = (exposures or {}).get(pattern, (1 / 60, 100, 8.0))
+            write_dng(path, counts_of(rgb), exposure=stated)
             frames.append(
                 {
                     "pattern": pattern,

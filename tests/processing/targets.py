@@ -41,10 +41,10 @@ def make_lab(session: Path, lab: Path, created: str = "20260101T000000Z") -> Pat
                     path = f"frames/{pattern}/{frame.camera}.dng"
                     write_bytes(pose / path, (session / frame.path).read_bytes())
                     frames.append(frame.model_copy(update={"pattern": pattern, "path": path}))
-            told = {"sequence": [pattern], "frames": frames}
-            told["patterns"] = {pattern: file.patterns[name]}
+            values = {"sequence": [pattern], "frames": frames}
+            values["patterns"] = {pattern: file.patterns[name]}
             save_rig(whole.rig, pose / "rig.json")
-            save_session(pose, file.model_copy(update=told))
+            save_session(pose, file.model_copy(update=values))
             poses.append(
                 {
                     "index": index,

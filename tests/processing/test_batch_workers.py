@@ -83,7 +83,7 @@ def fit(workers: FakeWorkers, session: Path, out: Path) -> int:
 
 
 @pytest.mark.parametrize(
-    ("scheduler", "worker", "said"),
+    ("scheduler", "worker", "message"),
     [
         ("2020.1.0", {}, f"scheduler: found distributed 2020.1.0, expected {OURS}"),
         (OURS, {"version": "2020.1.0"}, f"worker w1: found distributed 2020.1.0, expected {OURS}"),
@@ -97,17 +97,17 @@ def fit(workers: FakeWorkers, session: Path, out: Path) -> int:
     ],
 )
 def test_what_does_not_fit_is_refused_by_worker_and_before_any_work(
-    session: Path, tmp_path: Path, scheduler: str, worker: dict[str, Any], said: str
+    session: Path, tmp_path: Path, scheduler: str, worker: dict[str, Any], message: str
 ) -> None:
     workers = FakeWorkers(scheduler, {"w0": {}, "w1": worker})
     with pytest.raises(LightstageError) as caught:
         fit(workers, session, tmp_path / "out")
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "tcp://somewhere:8786" in str(caught.value)
     assert "worker w0" not in str(caught.value)
     assert "Install the same version on every worker" in str(caught.value)
     # Of another version nothing is asked: it may not even understand the question.
-    assert workers.client.ran == ([] if "expected" in said else [work.about])
+    assert workers.client.ran == ([] if "expected" in message else [work.about])
 
 
 def test_all_that_does_not_fit_is_told_at_once(session: Path, tmp_path: Path) -> None:

@@ -61,9 +61,9 @@ def test_poses_and_lenses_come_back(true_rig: Rig, written: Rig, measured: Measu
     for camera, true in zip(measured.cameras, true_rig.cameras, strict=True):
         assert camera.fx_px == pytest.approx(true.fx_px, rel=5e-4)
         assert camera.dist[0] == pytest.approx(0.05, abs=0.03)
-        told = measured.facts["cameras"][camera.id]
-        assert told["residual_px"] < 0.1
-        assert told["held_out_px"] < 0.1
+        facts = measured.facts["cameras"][camera.id]
+        assert facts["residual_px"] < 0.1
+        assert facts["held_out_px"] < 0.1
     assert measured.warnings == []
 
 
@@ -89,7 +89,7 @@ def test_a_camera_that_moved_between_boards_is_named_and_refused(
         measure_cameras(bad, written, BOARD, CONFIG)
     assert "cam1" not in str(caught.value)
     kept = measure_cameras(bad, written, BOARD, dataclasses.replace(CONFIG, allow=("cam3",)))
-    assert any("cam3" in said and "allowed" in said for said in kept.warnings)
+    assert any("cam3" in warning and "allowed" in warning for warning in kept.warnings)
 
 
 def test_wrong_corners_count_little(true_rig: Rig, written: Rig) -> None:
@@ -115,8 +115,12 @@ def test_swapped_cameras_are_warned_of(true_rig: Rig, written: Rig) -> None:
         for s in sights_of(true_rig, 12, 2)
     ]
     found = measure_cameras(swapped, written, BOARD, CONFIG)
-    assert any("cam1" in said and "where rig.json has cam4" in said for said in found.warnings)
-    assert any("cam4" in said and "where rig.json has cam1" in said for said in found.warnings)
+    assert any(
+        "cam1" in warning and "where rig.json has cam4" in warning for warning in found.warnings
+    )
+    assert any(
+        "cam4" in warning and "where rig.json has cam1" in warning for warning in found.warnings
+    )
 
 
 def test_too_few_boards_and_cameras_that_share_none(true_rig: Rig, written: Rig) -> None:
@@ -125,7 +129,7 @@ def test_too_few_boards_and_cameras_that_share_none(true_rig: Rig, written: Rig)
     sights = [s for s in sights_of(true_rig, 12, 2) if s.camera != "cam2"]
     found = measure_cameras(sights, written, BOARD, CONFIG)
     assert found.cameras[2] == written.cameras[2]
-    assert any(said.startswith("cam2 was not measured") for said in found.warnings)
+    assert any(warning.startswith("cam2 was not measured") for warning in found.warnings)
     with pytest.raises(PoseError, match="model"):
         measure_cameras(sights, written, BOARD, dataclasses.replace(CONFIG, model="FISHEYE"))
 
@@ -173,12 +177,12 @@ def test_how_sure_a_cameras_place_is_is_told(
 ) -> None:
     found = dataclasses.replace(true_rig, cameras=measured.cameras)
     off_mm = pose_errors(found, true_rig)[1]
-    told = np.array([measured.facts["cameras"][c.id]["place_sigma_mm"] for c in true_rig.cameras])
-    assert 0.4 < np.sqrt((told**2).mean() / (off_mm**2).mean()) < 2.5
+    facts = np.array([measured.facts["cameras"][c.id]["place_sigma_mm"] for c in true_rig.cameras])
+    assert 0.4 < np.sqrt((facts**2).mean() / (off_mm**2).mean()) < 2.5
     assert not measured.warnings
     strict = dataclasses.replace(CONFIG, unsure_mm=1e-4)
     warned = measure_cameras(sights_of(true_rig, 20, 2), written, BOARD, strict).warnings
-    assert [said.split(" ")[0] for said in warned] == [c.id for c in true_rig.cameras]
+    assert [text.split(" ")[0] for text in warned] == [c.id for c in true_rig.cameras]
     assert "nearer and farther" in warned[0]
 
 
@@ -191,10 +195,10 @@ def test_a_camera_that_saw_too_few_boards_is_warned_of(true_rig: Rig, written: R
     kept = [s for s in kept if s.camera != few or s.shot in seen[few][:3]]
     found = measure_cameras(kept, written, BOARD, CONFIG)
     assert (found.unmeasured, found.unchecked) == ([never], [few])
-    told = {said.split(" ")[0]: said for said in found.warnings}
-    assert "keeps the lens and pose that it had" in told[never]
-    assert "3 boards alone" in told[few]
-    assert "could not be checked" in told[few]
+    warning = {warning.split(" ")[0]: warning for warning in found.warnings}
+    assert "keeps the lens and pose that it had" in warning[never]
+    assert "3 boards alone" in warning[few]
+    assert "could not be checked" in warning[few]
 
 
 def test_a_few_corners_far_off_push_no_camera(true_rig: Rig, written: Rig) -> None:
@@ -250,10 +254,10 @@ def test_the_command_writes_a_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         rig, tmp_path / "targets", config, CaptureFlaws(), 5, lambda *_: None
     )
     arguments = ["calibrate-cameras", str(tmp_path / "targets"), "--out", str(tmp_path / "out")]
-    said = CliRunner().invoke(app, [*arguments, "--json"])
-    assert said.exit_code == 0, said.output
-    told = json.loads(said.stdout.splitlines()[-1])
-    assert set(told["cameras"]) == {"cam0", "cam1", "cam2"}
+    printed = CliRunner().invoke(app, [*arguments, "--json"])
+    assert printed.exit_code == 0, printed.output
+    printed = json.loads(printed.stdout.splitlines()[-1])
+    assert set(printed["cameras"]) == {"cam0", "cam1", "cam2"}
     found = load_rig(tmp_path / "out" / "rig.json")
     degrees, shift = pose_errors(found, rig)
     assert degrees.max() < 0.5

@@ -261,10 +261,10 @@ def test_lamps_that_differ_several_times_are_found_from_equal_ones() -> None:
 def test_gains_known_from_highlights_are_kept_and_made_better() -> None:
     rng = np.random.default_rng(4)
     gain = np.exp(0.1 * rng.normal(size=(COUNT, 3)))
-    told = np.log(gain) + 0.02 * rng.normal(size=gain.shape)
+    stated = np.log(gain) + 0.02 * rng.normal(size=gain.shape)
     readings = readings_of(RIG, gain)
     sigma = np.full(COUNT, 0.02)
-    found = solve_gains(readings, RIG.positions_mm, told, sigma, GreyConfig(noise_share=1e-4))
+    found = solve_gains(readings, RIG.positions_mm, stated, sigma, GreyConfig(noise_share=1e-4))
     error = np.log(found.rgb / gain)
     assert np.std(error - error.mean(axis=0)) < 0.019
     assert found.after < 3e-4
@@ -349,11 +349,11 @@ def test_a_grey_balls_photographs_give_normals_ten_times_better_than_corrected_r
     shots = take(rig, lamps, "grey", (2.0, 0.0, -3.0), PATTERNS, room=0.02)
     found = fit_lights(rig, [], [shots], FEW)
     facts = found.facts["grey"]
-    told = facts["normals_deg"]
-    assert told["plain"] > 6
-    assert told["plain"] > told["affine"] > told["quadratic"]
-    assert told["measured"] < told["quadratic"] / 10
-    assert told["measured"] < told["nominal"]
+    stated = facts["normals_deg"]
+    assert stated["plain"] > 6
+    assert stated["plain"] > stated["affine"] > stated["quadratic"]
+    assert stated["measured"] < stated["quadratic"] / 10
+    assert stated["measured"] < stated["nominal"]
     assert facts["error_measured_gains"] < 0.25 * facts["error_nominal_gains"]
     assert found.facts["lights"]["exponent_from"] == "assumed"
     assert np.isnan(found.residual_px).all()

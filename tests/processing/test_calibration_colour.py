@@ -13,9 +13,9 @@ from scipy.optimize import least_squares
 
 from lightstage.errors import FormatError
 from processing.calibration.colour.chart_reference import LAB_2014, chart_reflectance
-from processing.calibration.colour.difference import delta_e_2000, lab_from_linear
 from processing.calibration.colour.fit import ChartSample, ColourFitConfig, fit_colour
 from processing.colour import root_terms
+from processing.colour_difference import delta_e_2000, lab_from_linear
 from processing.errors import ProcessingError
 
 KNOWN = chart_reflectance("classic")

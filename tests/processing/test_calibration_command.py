@@ -20,7 +20,6 @@ from lightstage.session import read_calibration
 from processing.__main__ import app
 from processing.calibration.ball import rays_through, sphere_hits
 from processing.calibration.colour.chart import chart_places_mm, find_chart
-from processing.calibration.colour.flat_file import read_flats
 from processing.calibration.colour.white import white_at
 from processing.calibration.folder import read_source
 from processing.calibration.picture import read_mosaic
@@ -29,6 +28,7 @@ from processing.colour import read_colour
 from processing.decode.stage import DecodeConfig, decode
 from processing.errors import ProcessingError
 from processing.frames.read import read_frames
+from processing.raw.flat_file import read_flats
 from sim.camera.flaws import PRESETS
 from sim.camera.optics import make_lens
 from sim.light.lamps import LampConfig, lamps_of
@@ -59,14 +59,14 @@ def chart_of(targets, pose, camera):
 @pytest.mark.parametrize(("pose", "camera"), [(0, "cam0"), (0, "cam1"), (1, "cam1")])
 def test_the_chart_is_found_where_it_is(targets, truth, pose, camera):
     view = find_chart(*chart_of(targets, pose, camera))
-    told = truth["targets"][f"chart-{pose:02d}"]
-    places = np.array(told["cameras"][camera]["places_px"]) / 2 - 0.5
+    stated = truth["targets"][f"chart-{pose:02d}"]
+    places = np.array(stated["cameras"][camera]["places_px"]) / 2 - 0.5
     assert np.abs(view.places_px - places).max() < 0.5  # of patches 12 pixels wide
     assert view.grown >= 20
-    pose_mm = np.array(told["world_from_target"])
-    known_mm = np.array(told["places_mm"]) @ pose_mm[:, :2].T + pose_mm[:, 3]
+    pose_mm = np.array(stated["world_from_target"])
+    known_mm = np.array(stated["places_mm"]) @ pose_mm[:, :2].T + pose_mm[:, 3]
     rig = load_session(targets).rig
-    for pitch_mm in (None, told["width_mm"] * 2.75 / 16.75):
+    for pitch_mm in (None, stated["width_mm"] * 2.75 / 16.75):
         found_mm, normal = chart_places_mm(view, rig.camera(camera), pitch_mm)
         assert np.linalg.norm(found_mm - known_mm, axis=1).max() < 8
         assert normal @ -pose_mm[:, 2] > np.cos(np.radians(5))

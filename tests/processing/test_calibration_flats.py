@@ -12,10 +12,10 @@ from lightstage.errors import FormatError
 from lightstage.formats.orientation import OF_TIFF
 from lightstage.rig import default_rig
 from processing.calibration.colour.all_cameras import flattened
-from processing.calibration.colour.flat_file import FlatField, read_flats, write_flats
 from processing.calibration.colour.flats import FlatConfig, fit_flat, read_darks
 from processing.calibration.picture import Mosaic
 from processing.errors import ProcessingError
+from processing.raw.flat_file import FlatField, read_flats, write_flats
 
 WIDTH, HEIGHT = 480, 320
 CAMERA = dataclasses.replace(
@@ -64,11 +64,11 @@ def test_each_pixel_s_own_gain_is_found_where_it_is_asked_for():
 
 
 @pytest.mark.parametrize(
-    ("level", "said"),
+    ("level", "message"),
     [(np.full((HEIGHT, WIDTH), 0.001), "its mean at 0.1 % of white"), (card()[:300], "480 x 300")],
 )
-def test_a_flat_that_will_not_do_is_refused(level, said):
-    with pytest.raises(ProcessingError, match=said):
+def test_a_flat_that_will_not_do_is_refused(level, message):
+    with pytest.raises(ProcessingError, match=message):
         fit_flat([mosaic(level)], CAMERA, FlatConfig(), "flat, cam0")
     clipped = np.zeros((HEIGHT, WIDTH), bool)
     clipped[:30] = True

@@ -49,8 +49,8 @@ def separated(session: Path, out: Path) -> dict[str, list[str]]:
 @pytest.mark.parametrize("lost", ["x+", "z-", "full"])
 def test_a_lost_photograph_is_rebuilt_and_said(session: Path, tmp_path: Path, lost: str) -> None:
     lose(session, f"{lost}/cam1")
-    told = separated(session, tmp_path / "out")["warnings"]
-    assert [line for line in told if f"{lost} has no photograph by cam1: rebuilt as" in line]
+    warnings = separated(session, tmp_path / "out")["warnings"]
+    assert [line for line in warnings if f"{lost} has no photograph by cam1: rebuilt as" in line]
     frames = read_frames(tmp_path / "out", "cam1")
     sight = lit_ball.see(Ball(), RIG.cameras[1])
     known = lit_ball.photograph(Ball(), sight, RIG)[:, lit_ball.PATTERNS.index(lost)]
@@ -75,8 +75,8 @@ def test_a_pattern_that_was_never_taken_joins_the_sequence(session: Path, tmp_pa
     assert joined.file.sequence == list(lit_ball.PATTERNS)
     np.testing.assert_array_equal(joined.levels("x-"), pattern_levels("x-", RIG))
     assert missing_patterns(joined)["cam0"] == {"x-": (("full", 1.0), ("x+", -1.0))}
-    told = separated(session, tmp_path / "out")["warnings"]
-    assert [line for line in told if "cam0, cam1: rebuilt as full - x+" in line]
+    warnings = separated(session, tmp_path / "out")["warnings"]
+    assert [line for line in warnings if "cam0, cam1: rebuilt as full - x+" in line]
 
 
 def test_driven_levels_of_a_rebuilt_pattern_are_what_full_leaves(session: Path) -> None:

@@ -78,8 +78,8 @@ def test_add_publish_and_train_ask_too(
         "training": ("learning", "train", "--data", store, "--out", new, "--preset", "demo"),
     }
     for purpose, (program, *words) in commands.items():
-        said = f"purpose {purpose}: found C-0001 (person-"
-        refused(run_command(program, *words, "--consents", registry), said)
+        text = f"purpose {purpose}: found C-0001 (person-"
+        refused(run_command(program, *words, "--consents", registry), text)
         assert not new.exists()
     monkeypatch.setenv("LIGHTSTAGE_CONSENTS", str(registry))
     program, *words = commands["publication"]

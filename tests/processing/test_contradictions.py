@@ -46,16 +46,16 @@ FORCED_NOT = DecodeConfig()
 
 
 @pytest.mark.parametrize(
-    ("patterns", "factors", "said"),
+    ("patterns", "factors", "message"),
     [
         (PATTERNS, {"x_minus": 0.1}, r"patterns of cam0: found x\+ \+ x- = .* full = "),
         (PATTERNS, {"full": 0.4}, r"3 problems"),
         (AXES, {"y_plus": 0.2, "y_minus": 0.2}, r"x\+ \+ x- = .* y\+ \+ y- = "),
     ],
 )
-def test_what_does_not_add_up_is_refused_by_both(tmp_path, patterns, factors, said):
+def test_what_does_not_add_up_is_refused_by_both(tmp_path, patterns, factors, message):
     root = session_of(tmp_path / "S", patterns, **factors)
-    both_say(root, tmp_path / "OUT", said)
+    both_say(root, tmp_path / "OUT", message)
     facts = decode(load_session(root), tmp_path / "OUT2", FORCED)
     assert any(warning.startswith("forced: ") for warning in facts["warnings"])
 
@@ -132,7 +132,7 @@ def test_force_is_an_option_of_run_and_separate(tmp_path):
     for command in (["run", *args, "--until", "decode"], ["separate", *args]):
         refused = runner.invoke(app, command)
         assert isinstance(refused.exception, FormatError), refused.output
-        assert "--force goes on" in str(refused.exception)
+        assert "--force continues" in str(refused.exception)
     done = runner.invoke(app, ["run", *args, "--until", "decode", "--force"])
     assert done.exit_code == 0, done.output
     report = json.loads((tmp_path / "OUT" / "report.json").read_text())

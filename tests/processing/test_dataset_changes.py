@@ -136,14 +136,14 @@ def test_a_changed_a_missing_and_a_foreign_file_are_named(
     listed.write_text(listed.read_text().replace("position", "attitude"))
     ended = command("verify", store)
     assert ended.code == 2
-    for said in (
+    for message in (
         "4 problems",
         "person-0, neutral: found position/c/0/0/0 has changed",
         "found confidence/zarr.json is missing",
         "found notes.txt is not of the store",
         "shards.json: found another list of hashes",
     ):
-        assert said in ended.err
+        assert message in ended.err
 
 
 def test_what_does_not_fit_is_refused_and_the_store_is_as_it_was(
@@ -152,15 +152,15 @@ def test_what_does_not_fit_is_refused_and_the_store_is_as_it_was(
     store = build_store(people[:2], tmp_path / "store")
     before = files_of(store)
     other_size = make_processed(tmp_path / "large", subject="person-9", rows=96, columns=64)
-    for root, said in (
+    for root, message in (
         (people[0], "the same files as scan"),
         (other_size, "96 x 64 texels, expected 48 x 32"),
         (tmp_path / "none", "no such folder"),
     ):
-        with pytest.raises(LightstageError, match=said):
+        with pytest.raises(LightstageError, match=message):
             add_scan(store, root)
-    for names, said in ((["nobody"], "names of scans in it"), (["x", "y"], "'x', 'y'")):
-        with pytest.raises(LightstageError, match=said):
+    for names, message in ((["nobody"], "names of scans in it"), (["x", "y"], "'x', 'y'")):
+        with pytest.raises(LightstageError, match=message):
             remove_scans(store, names)
     with pytest.raises(LightstageError, match="no scan that would be left"):
         remove_scans(store, [scan.folder for scan in open_store(store).scans])

@@ -333,9 +333,9 @@ def test_statistics_need_enough_people(tmp_path: Path, make_processed: Make) -> 
 
 
 def test_what_it_cannot_protect_is_said_in_the_folder(store: Store, released: Path) -> None:
-    said = json.loads((released / "dataset.json").read_text())["cannot_protect"]
+    facts = json.loads((released / "dataset.json").read_text())["cannot_protect"]
     for word in ("moles", "join", "consent"):
-        assert word in said
+        assert word in facts
 
 
 @pytest.mark.parametrize(("words", "warned"), [(["--gap", "0"], True), ([], False)])
@@ -348,19 +348,19 @@ def test_a_gap_of_nothing_is_warned_of_with_the_figures_of_the_docs(
     done = CliRunner().invoke(app, [*asked, "--json"])
     assert done.exit_code == 0, done.output
     facts = json.loads(done.stdout)
-    said = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
-    assert said == [f"warning: {each}" for each in facts["warnings"]]
-    told = json.loads((out / "dataset.json").read_text())["cannot_protect"]
-    assert ("Of this set" in told) == warned == bool(said)
+    text = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
+    assert text == [f"warning: {each}" for each in facts["warnings"]]
+    stated = json.loads((out / "dataset.json").read_text())["cannot_protect"]
+    assert ("Of this set" in stated) == warned == bool(text)
     table = (Path(__file__).parents[2] / "docs" / "dataset.md").read_text().splitlines()
     rows = {gap: next(row for row in table if row.startswith(f"| {gap} | 0.5 | yes |"))
             for gap in ("0", "0.5")}  # fmt: skip
     for row in rows.values() if warned else ():
         _, _, _, _, _, right, _, _, same, _ = (cell.strip() for cell in row.split("|"))
         count, share = right.split(" of ")[0], float(right.split(", ")[1].removesuffix(" %"))
-        assert count in said[0]
-        assert f"{share:.0f} %" in said[0]
-        assert f"{float(same.removesuffix(' %')):.0f} %" in said[0]
+        assert count in text[0]
+        assert f"{share:.0f} %" in text[0]
+        assert f"{float(same.removesuffix(' %')):.0f} %" in text[0]
 
 
 def test_the_figures_of_forty_people_are_those_of_the_docs() -> None:
@@ -476,8 +476,8 @@ def test_a_published_set_given_to_publish_is_told_from_one_given_to_training(
     released: Path, tmp_path: Path
 ) -> None:
     again = ["dataset", "publish", str(released), "--out", str(tmp_path / "again")]
-    said = str(CliRunner().invoke(app, again).exception)
-    assert "Name the store that `dataset build` made" in said
-    assert "training" not in said
+    message = str(CliRunner().invoke(app, again).exception)
+    assert "Name the store that `dataset build` made" in message
+    assert "training" not in message
     with pytest.raises(LightstageError, match="training"):
         open_store(released)

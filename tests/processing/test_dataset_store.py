@@ -141,7 +141,7 @@ def with_a_path_for_a_subject(root: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("damage", "said"),
+    ("damage", "message"),
     [
         (with_a_path_for_a_subject, r"subject: found '\.\./other', expected letters"),
         (wrong_size, "different size"),
@@ -153,12 +153,12 @@ def with_a_path_for_a_subject(root: Path) -> None:
     ],
 )
 def test_bad_input_is_one_clear_message_and_leaves_nothing(
-    tmp_path: Path, make_processed: Make, damage: Callable[[Path], None], said: str
+    tmp_path: Path, make_processed: Make, damage: Callable[[Path], None], message: str
 ) -> None:
     good = make_processed(tmp_path / "in" / "good")
     bad = make_processed(tmp_path / "in" / "bad")
     damage(bad)
-    with pytest.raises(LightstageError, match=said) as caught:
+    with pytest.raises(LightstageError, match=message) as caught:
         build_store([good, bad], tmp_path / "out" / "store")
     assert str(bad) in str(caught.value)
     assert list((tmp_path / "out").iterdir()) == []
@@ -213,8 +213,8 @@ def test_atlases_of_two_sizes_are_refused_with_both_scans_and_sizes(
     large = make_processed(tmp_path / "in" / "large", rows=192, columns=128)
     with pytest.raises(LightstageError) as caught:
         build_store([small, large], tmp_path / "out" / "store")
-    for said in (str(small), str(large), "96 x 64", "192 x 128", "--atlas-rows"):
-        assert said in str(caught.value)
+    for message in (str(small), str(large), "96 x 64", "192 x 128", "--atlas-rows"):
+        assert message in str(caught.value)
     assert list((tmp_path / "out").iterdir()) == []
 
 
@@ -237,7 +237,7 @@ def test_the_list_and_lock_of_simulated_people_are_passed_over_and_nothing_else(
 
 
 @pytest.mark.parametrize(
-    ("marker", "said"),
+    ("marker", "message"),
     [
         ("session.json", "a session.*lightstage-processing run"),
         ("dataset.json", "a dataset"),
@@ -247,14 +247,14 @@ def test_the_list_and_lock_of_simulated_people_are_passed_over_and_nothing_else(
     ],
 )
 def test_what_is_no_processed_folder_is_refused_by_name(
-    tmp_path: Path, make_processed: Make, marker: str | None, said: str
+    tmp_path: Path, make_processed: Make, marker: str | None, message: str
 ) -> None:
     root = tmp_path / "in" / "given"
     if marker:
         root.mkdir(parents=True)
         (root / marker).write_text("{}")
     good = make_processed(tmp_path / "in" / "good")
-    with pytest.raises(LightstageError, match=f"{root}: found .*{said}"):
+    with pytest.raises(LightstageError, match=f"{root}: found .*{message}"):
         build_store([good, root], tmp_path / "out" / "store")
 
 
@@ -285,8 +285,8 @@ def test_one_pseudonym_of_a_simulated_and_a_captured_person_is_refused(
     roots = [captured, smile, simulated] if first == "captured" else [simulated, captured]
     with pytest.raises(LightstageError, match=r"subject: found 'P07', a .* person's") as caught:
         build_store(roots, tmp_path / "out" / "store")
-    for said in (str(captured), str(simulated), "another pseudonym"):
-        assert said in str(caught.value)
+    for message in (str(captured), str(simulated), "another pseudonym"):
+        assert message in str(caught.value)
     assert list((tmp_path / "out").iterdir()) == []
     assert len(open_store(build_store([captured, smile], tmp_path / "out" / "store")).scans) == 2
 
@@ -300,7 +300,7 @@ def test_a_store_that_lost_or_changed_a_part_is_told_and_not_read_as_zeros(
         Path("scans") / open_store(whole).scans[1].folder / "diffuse_albedo" / "c" / "0" / "0" / "0"
     )
     data = (whole / part).read_bytes()
-    for changed, said in (
+    for changed, message in (
         (None, r"diffuse_albedo: found 0 of its 1 parts"),
         (data[:90] + bytes([data[90] ^ 1]) + data[91:], "bytes that are not those that were"),
         (data[: len(data) // 2], "bytes that are not those that were written"),
@@ -312,9 +312,9 @@ def test_a_store_that_lost_or_changed_a_part_is_told_and_not_read_as_zeros(
             (broken / part).write_bytes(changed)
         store = open_store(broken)
         assert store.read(0, "diffuse_albedo", slice(None), slice(None)).any()
-        with pytest.raises(LightstageError, match=said):
+        with pytest.raises(LightstageError, match=message):
             store.read(1, "diffuse_albedo", slice(None), slice(None))
-        with pytest.raises(LightstageError, match=said):
+        with pytest.raises(LightstageError, match=message):
             publish(store, tmp_path / "published", 0, PublishConfig(patch_px=8, drop=0.0))
         assert not (tmp_path / "published").exists()
     empty = np.zeros((96, 64), np.float32)

@@ -17,7 +17,6 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.files import sha256_file
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.session import Session, load_session
-from processing.calibration.colour.flat_file import FlatField, write_flats
 from processing.decode.files import CameraJob, lookers
 from processing.decode.session_photographs import Photograph
 from processing.decode.stage import DecodeConfig, decode
@@ -25,6 +24,7 @@ from processing.errors import ProcessingError
 from processing.frames.drafts import BLUE, GREEN, NOT_A_NUMBER, RED
 from processing.frames.read import Frames, read_foreground, read_frames
 from processing.frames.window import Window, whole
+from processing.raw.flat_file import FlatField, write_flats
 from processing.raw.region import find_window, mesh_window, preview
 from tests.processing.lit_ball import small_rig
 from tests.processing.made_raw import (
@@ -208,14 +208,14 @@ def test_unlike_exposures_are_brought_to_one_and_told(tmp_path: Path) -> None:
     usual = write_raw_session(tmp_path / "usual", RIG, shots, COLOUR)
     exact, _ = decoded(usual, tmp_path / "out1")
     dimmed = shots | {"y-": {"cam0": 0.25 * shots["y-"]["cam0"]}}
-    told = {"y-": (1 / 60, 50, 8.0 * np.sqrt(2))}
-    odd = write_raw_session(tmp_path / "odd", RIG, dimmed, COLOUR, told)
+    values = {"y-": (1 / 60, 50, 8.0 * np.sqrt(2))}
+    odd = write_raw_session(tmp_path / "odd", RIG, dimmed, COLOUR, values)
     found, facts = decoded(odd, tmp_path / "out2")
     inner = cv2.erode(read_foreground(tmp_path / "out1", "cam0").astype(np.uint8), np.ones((9, 9)))
     np.testing.assert_allclose(
         found.images[:, inner > 0], exact.images[:, inner > 0], rtol=2e-3, atol=2e-3
     )
-    assert any("exposures" in said and "y-" in said for said in facts["warnings"])
+    assert any("exposures" in warning and "y-" in warning for warning in facts["warnings"])
 
 
 def test_colours_made_at_another_exposure_are_scaled_to_it(root: Path, tmp_path: Path) -> None:
@@ -230,7 +230,9 @@ def test_colours_made_at_another_exposure_are_scaled_to_it(root: Path, tmp_path:
 def test_exposures_that_no_file_tells_are_said_to_be_taken_as_equal(
     root: Path, tmp_path: Path
 ) -> None:
-    assert not any("exposure" in said for said in decoded(root, tmp_path / "out")[1]["warnings"])
+    assert not any(
+        "exposure" in warning for warning in decoded(root, tmp_path / "out")[1]["warnings"]
+    )
     for name, shot in photographs().items():
         path = root / "frames" / name / "cam0.dng"
         old = sha256_file(path)
@@ -238,7 +240,7 @@ def test_exposures_that_no_file_tells_are_said_to_be_taken_as_equal(
         text = (root / "session.json").read_text()
         (root / "session.json").write_text(text.replace(old, sha256_file(path)))
     _, facts = decoded(root, tmp_path / "out")
-    assert any("cam0: no photograph tells its exposure" in said for said in facts["warnings"])
+    assert any("cam0: no photograph has its exposure" in warning for warning in facts["warnings"])
 
 
 @pytest.mark.parametrize("exposure", [None, (1.0, 6400, 2.0)])

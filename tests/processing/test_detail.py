@@ -195,9 +195,9 @@ def test_heights_are_those_of_the_dense_twin(
 
 
 @given(st.lists(st.floats(-5, 5), min_size=3, max_size=3), st.booleans())
-def test_slopes_turn_the_normal_into_the_one_told(told: list[float], known: bool) -> None:
+def test_slopes_turn_the_normal_into_the_one_told(values: list[float], known: bool) -> None:
     normal = np.array([[0.0, 0.6, 0.8]])
-    unit = np.array([told]) + 3 * normal
+    unit = np.array([values]) + 3 * normal
     unit /= max(float(np.linalg.norm(unit)), 1e-9)
     slopes = slopes_beyond(unit, normal, np.array([known]))
     assert np.isfinite(slopes).all()

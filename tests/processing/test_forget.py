@@ -65,7 +65,7 @@ def test_a_dry_run_lists_everything_and_changes_nothing(
     ended = command(WHO, "--in", lab, "--out", tmp_path / "office")
     assert ended.code == 0, ended.err
     scan = next(s.folder for s in open_store(lab / "store").scans if s.subject == WHO)
-    for said in (
+    for message in (
         f"session: {lab / 'S' / 's1'}",
         f"processed folder: {lab / 'P' / 'p1'}",
         f"store: {scan} of {lab / 'store'}",
@@ -73,7 +73,7 @@ def test_a_dry_run_lists_everything_and_changes_nothing(
         f"trained on the person: {lab / 'run'}",
         "Nothing was removed",
     ):
-        assert said in ended.out
+        assert message in ended.out
     assert "other run" not in ended.out
     assert "s0" not in ended.out
     assert names_in(lab) == before
@@ -175,14 +175,14 @@ def test_a_folder_in_use_stops_it_before_anything_goes(lab: Path, tmp_path: Path
 def test_somebody_unknown_and_a_folder_that_is_not_there_are_refused(
     lab: Path, tmp_path: Path, command: Callable[..., Any]
 ) -> None:
-    for words, said in (
+    for words, message in (
         (("person-9", "--in", lab), "nothing of 'person-9'"),
         ((WHO, "--in", lab / "none"), "--in: found no such folder"),
     ):
         for more in ((), ("--yes",)):
             ended = command(*words, "--out", tmp_path / "office", *more)
             assert ended.code == 2
-            assert said in ended.err
+            assert message in ended.err
     inside = command(WHO, "--in", lab, "--out", lab / "S" / "s1" / "proofs", "--yes")
     assert inside.code == 2
     assert "which goes" in inside.err

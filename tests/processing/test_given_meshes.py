@@ -117,13 +117,13 @@ def test_shadows_of_an_occluder_are_no_shape_of_the_skin() -> None:
 
 
 @pytest.mark.parametrize(
-    ("factor", "said"), [(0.001, "Is it in metres? Then multiply it by 1000"), (0.1, "in cm")]
+    ("factor", "message"), [(0.001, "Is it in metres? Then multiply it by 1000"), (0.1, "in cm")]
 )
-def test_a_mesh_in_another_unit_is_told(tmp_path: Path, factor: float, said: str) -> None:
+def test_a_mesh_in_another_unit_is_told(tmp_path: Path, factor: float, message: str) -> None:
     path = write_ply(Mesh(factor * head().vertices, head().faces), tmp_path / "head.ply")
-    with pytest.raises(ReconstructionError, match=re.escape(said)):
+    with pytest.raises(ReconstructionError, match=re.escape(message)):
         given_mesh(path, CAMERAS, np.zeros((0, 3)))
-    with pytest.raises(ReconstructionError, match=re.escape(said)):
+    with pytest.raises(ReconstructionError, match=re.escape(message)):
         read_given(path)
 
 
@@ -132,7 +132,7 @@ def test_faces_that_look_inward_are_turned_and_told(tmp_path: Path) -> None:
     points = on_surface(shape, 300, np.random.default_rng(0))
     path = write_obj(Mesh(shape.vertices, shape.faces[:, ::-1]), tmp_path / "head.obj")
     found = given_mesh(path, CAMERAS, points)
-    assert found.warnings == ["the faces of head.obj looked inward and were turned"]
+    assert found.warnings == ["the faces of head.obj pointed inward and were turned"]
     np.testing.assert_array_equal(found.mesh.faces, shape.faces)
     kept = given_mesh(write_obj(shape, tmp_path / "other.obj"), CAMERAS, points)
     assert kept.warnings == []
@@ -163,9 +163,11 @@ def test_a_mesh_elsewhere_is_told_with_the_motion_that_would_mend_it(
             return  # a head that slides along itself hardly leaves its points
         with pytest.raises(ReconstructionError, match="if it were moved by") as caught:
             given_mesh(path, CAMERAS, points)
-    said = re.search(r"fit within (\S+) mm .* moved by \((\S+), (\S+), (\S+)\)", str(caught.value))
-    assert said is not None
-    left_mm, *back = (float(word) for word in said.groups())
+    message = re.search(
+        r"fit within (\S+) mm .* moved by \((\S+), (\S+), (\S+)\)", str(caught.value)
+    )
+    assert message is not None
+    left_mm, *back = (float(word) for word in message.groups())
     middle = points.mean(axis=0)
     # A turn about the egg's own axis hardly moves its surface, and is not found.
     assert left_mm < 0.8
@@ -217,7 +219,7 @@ def test_a_run_takes_a_given_mesh_and_occluders_from_one_camera_alone(
     others = write_ply(wall, tmp_path / "wall.ply")
     words = ["run", session, "--out", out, "--until", "refine"]
     tiny = write_ply(Mesh(mesh.vertices / 1000, mesh.faces), tmp_path / "tiny.ply")
-    for option, file, said in (
+    for option, file, message in (
         ("--mesh", tiny, "in metres"),
         ("--mesh", tmp_path / "none.ply", "no such file"),
         ("--occluders", tiny, "in metres"),
@@ -225,12 +227,12 @@ def test_a_run_takes_a_given_mesh_and_occluders_from_one_camera_alone(
     ):
         refused = run_command("processing", *words, option, file)
         assert refused.code == 2, refused.err
-        assert said in refused.err
+        assert message in refused.err
         assert not out.exists()
     done = run_command("processing", *words, "--mesh", path, "--occluders", others)
     assert done.code == 0, done.err
     # What a stage warns of is told when it ran, and not again.
-    assert "warning: reconstruct: whether ball.ply lies where the photographs" in done.err
+    assert "warning: reconstruct: whether ball.ply is where the photographs" in done.err
     folder = ProcessedFolder(out)
     np.testing.assert_allclose(read_ply(folder.base_mesh).vertices, mesh.vertices)
     assert folder.occluders.is_file()

@@ -32,7 +32,14 @@ RIG = lit_ball.small_rig()
 INTERFACE = skin_interface()
 FAMILIES = tuple(
     skin_interface(facets)
-    for facets in (BECKMANN, Facets(tails=True), Facets(stretch=1.4), Facets(True, 0.8))
+    for facets in (
+        BECKMANN,
+        Facets(tails=True),
+        Facets(stretch=1.4),
+        Facets(True, 0.8),
+        Facets(rises=False),
+        Facets(True, covers=False),
+    )
 )
 ALBEDO = np.array([0.55, 0.33, 0.22])
 SEEDS = st.integers(0, 2**31)
@@ -74,9 +81,9 @@ def light_of(
     interface: Interface,
 ) -> tuple[np.ndarray, np.ndarray]:
     """E and B, the lobe of lamps of whose mirror reflection only a share arrives."""
-    told = (points, normals, views, roughness, shadows, interface)
+    stated = (points, normals, views, roughness, shadows, interface)
     seen = dataclasses.replace(LIGHTS, weight=LIGHTS.weight * mirrored)
-    return transport(LIGHTS, *told)[0], transport(seen, *told)[1]
+    return transport(LIGHTS, *stated)[0], transport(seen, *stated)[1]
 
 
 def skin(

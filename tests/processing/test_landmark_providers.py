@@ -72,7 +72,7 @@ def test_a_program_sees_every_picture_and_prints_landmarks(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("body", "said"),
+    ("body", "message"),
     [
         ("sys.exit('no face model')\n", "no face model"),
         ("print('hello')\n", "JSON"),
@@ -81,8 +81,8 @@ def test_a_program_sees_every_picture_and_prints_landmarks(tmp_path):
         (prints(landmarks(cam7=[None] * 68)), "cam7"),
     ],
 )
-def test_programs_that_fail_are_named(tmp_path, body, said):
-    with pytest.raises(LightstageError, match=said):
+def test_programs_that_fail_are_named(tmp_path, body, message):
+    with pytest.raises(LightstageError, match=message):
         program(tmp_path, body).find(PICTURES)
 
 
@@ -188,10 +188,10 @@ def test_the_detector_leaves_out_pictures_without_a_face(template: Template) -> 
         ("own", template),
         ("ibug", dataclasses.replace(template, face_points=None)),
     ):
-        told = DetectedLandmarks(shape).find(pictures)
-        assert [*told] == ["cam0"]
-        assert told["cam0"].shape == (68, 2)
-        found[name] = told["cam0"][17:]
+        stated = DetectedLandmarks(shape).find(pictures)
+        assert [*stated] == ["cam0"]
+        assert stated["cam0"].shape == (68, 2)
+        found[name] = stated["cam0"][17:]
     # The two ways mean the same places but for what a landmark is taken to be.
     away = np.linalg.norm(found["own"] - found["ibug"], axis=1)
     eyes = np.linalg.norm(found["ibug"][45 - 17] - found["ibug"][36 - 17])

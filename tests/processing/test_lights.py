@@ -57,10 +57,10 @@ def measured(
 
 
 def session_with(folder: Path, lights: MeasuredLights | None, rig: Rig = RIG) -> Session:
-    told = None
+    stated = None
     if lights is not None:
         write_measured_lights(lights, rig, folder / "lights.json")
-        told = "lights.json"
+        stated = "lights.json"
     file = SessionFile(
         id="a",
         created_utc="2026-01-01T00:00:00+00:00",
@@ -68,7 +68,7 @@ def session_with(folder: Path, lights: MeasuredLights | None, rig: Rig = RIG) ->
         expression="neutral",
         sequence=list(BINARY),
         frames=[],
-        calibration=Calibration(lights=told),
+        calibration=Calibration(lights=stated),
     )
     return Session(folder, file, rig)
 
@@ -122,9 +122,9 @@ def test_every_fault_of_a_lights_file_is_in_one_message(tmp_path: Path) -> None:
     path.write_text(json.dumps(value))
     with pytest.raises(FormatError) as caught:
         read_measured_lights(path, RIG)
-    said = str(caught.value)
+    message = str(caught.value)
     for word in ("light 4.position_mm", "light 5.rgb_gain", "no light 6", "exponent", "stray.x+"):
-        assert word in said
+        assert word in message
 
 
 def test_a_newer_lights_file_is_refused(tmp_path: Path) -> None:

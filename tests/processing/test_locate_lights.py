@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from lightstage.rig import Rig, default_rig, load_rig, save_rig
+from lightstage.rig import LightAddress, Rig, default_rig, load_rig, save_rig
 from processing.__main__ import app
 from processing.calibration.lights.highlights import Highlights
 from processing.calibration.lights.mirror_ball import Seen
@@ -153,7 +153,7 @@ class Stage:
         rig = default_rig().scaled(0.12)
         rig = dataclasses.replace(rig, lights=rig.lights[::17], cameras=rig.cameras[:2])
         self.count = len(rig.lights)
-        self.rig = rig.rewired(range(self.count))
+        self.rig = rig.readdressed([LightAddress(i) for i in range(self.count)])
         self.wires = shuffled_wires(self.rig, 5)
         self.lost = int(np.flatnonzero(self.wires == 3)[0])
         self.folder = folder

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.memory import give_back
+from processing.pipeline import give_back
 
 PIECES, PIECE_BYTES = 4000, 64 * 1024
 

@@ -125,9 +125,9 @@ def test_published_formulas_need_an_even_field_and_no_highlight() -> None:
 
 def test_red_normals_feel_the_highlight_less_than_blue_ones() -> None:
     """Skin is bright in red, and a highlight adds alike to all channels."""
-    told = dataclasses.replace(CONFIG, ratios=RatiosConfig(field="lights"))
+    config = dataclasses.replace(CONFIG, ratios=RatiosConfig(field="lights"))
     red, blue = (
-        normal_deg(solved("ratios", dataclasses.replace(told, normals=part)))
+        normal_deg(solved("ratios", dataclasses.replace(config, normals=part)))
         for part in ("red", "blue")
     )
     assert 1 < red < 0.6 * blue
@@ -158,8 +158,8 @@ def test_weighted_pairs_and_the_median_beat_the_maximum_in_an_even_field(
     pairs = np.arange(6).reshape(3, 2)
     errors = []
     for combine in ("weighted", "median", "maximum"):
-        told = make_config(KampourisConfig, {"combine": combine}, "test")
-        specular, _, _ = kampouris.published_parts(rgb, pairs, told)
+        config = make_config(KampourisConfig, {"combine": combine}, "test")
+        specular, _, _ = kampouris.published_parts(rgb, pairs, config)
         errors.append(float(np.sqrt(((specular - 0.03) ** 2).mean())))
     assert 0.011 < errors[0] < 0.018
     assert 0.013 < errors[1] < 0.034
@@ -168,8 +168,8 @@ def test_weighted_pairs_and_the_median_beat_the_maximum_in_an_even_field(
 
 def test_pooled_specular_parts_vary_less() -> None:
     sharp = solved("kampouris").specular[INNER]
-    told = dataclasses.replace(CONFIG, kampouris=KampourisConfig(pool_mm=15.0))
-    assert solved("kampouris", told).specular[INNER].std() < 0.9 * sharp.std()
+    config = dataclasses.replace(CONFIG, kampouris=KampourisConfig(pool_mm=15.0))
+    assert solved("kampouris", config).specular[INNER].std() < 0.9 * sharp.std()
 
 
 # -- float64 twins ------------------------------------------------------------------------------
@@ -223,10 +223,12 @@ def test_published_parts_agree_with_the_plain_twin(
     values: list[float], combine: str, scale: float
 ) -> None:
     rgb = (np.array(values).reshape(1, 6, 3) * scale).astype(np.float32)
-    told = make_config(KampourisConfig, {"combine": combine, "most_specular": 0.2 * scale}, "test")
+    config = make_config(
+        KampourisConfig, {"combine": combine, "most_specular": 0.2 * scale}, "test"
+    )
     pairs = axis_pairs(("x+", "x-", "y+", "y-", "z+", "z-"))
-    specular, vector, diffuse = kampouris.published_parts(rgb, pairs, told)
-    known, parts = plain_parts(rgb[0], told)
+    specular, vector, diffuse = kampouris.published_parts(rgb, pairs, config)
+    known, parts = plain_parts(rgb[0], config)
     np.testing.assert_allclose(specular[0], known, atol=1e-4 * scale)
     np.testing.assert_allclose(diffuse[0], parts, atol=1e-4 * scale)
     assert np.isfinite(vector).all()
@@ -322,7 +324,7 @@ def test_one_bank_alone_is_not_separated() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sequence", "told", "said"),
+    ("sequence", "values", "message"),
     [
         ("binary", {"method": "polarised"}, "separate.method"),
         ("linear", {"method": "kampouris"}, "linear, colour"),
@@ -331,20 +333,20 @@ def test_one_bank_alone_is_not_separated() -> None:
     ],
 )
 def test_a_method_that_cannot_do_what_it_is_told_says_so(
-    sequence: str, told: dict[str, str], said: str
+    sequence: str, values: dict[str, str], message: str
 ) -> None:
     rig = COLOURED if sequence == "mux" else RIG
     lights = shots.rig_lights(rig, SEQUENCES[sequence])
-    with pytest.raises(ProcessingError, match=said):
-        chosen_method(lights, make_config(SeparateConfig, told, "test"))
+    with pytest.raises(ProcessingError, match=message):
+        chosen_method(lights, make_config(SeparateConfig, values, "test"))
 
 
 def test_each_choice_of_specular_normals_does_something() -> None:
     found = {}
     for relief in ("mirror", "detail", "diffuse"):
-        told = dataclasses.replace(CONFIG, specular_normals=relief, normals="red")
-        assert relief_of("linear", told) == relief
-        found[relief] = solved("linear on binary", told).specular_normal[INNER]
+        config = dataclasses.replace(CONFIG, specular_normals=relief, normals="red")
+        assert relief_of("linear", config) == relief
+        found[relief] = solved("linear on binary", config).specular_normal[INNER]
     assert angle_deg(found["mirror"], found["diffuse"]).mean() > 0.1
     assert angle_deg(found["detail"], found["diffuse"]).mean() > 0.01
     assert angle_deg(found["mirror"], found["detail"]).mean() > 0.05

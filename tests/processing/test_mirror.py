@@ -141,12 +141,12 @@ def test_the_solution_is_the_twins_minimum() -> None:
     grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
     for i, normal in zip(some, result.normal, strict=True):
         start = SIGHT.normals[i]
-        told = (reading[i], start, SIGHT.views[i], spread)
+        stated = (reading[i], start, SIGHT.views[i], spread)
         across = np.cross(start, [0.0, 0.0, 1.0] if abs(start[2]) < 0.9 else [1.0, 0.0, 0.0])
         across /= np.linalg.norm(across)
         along = normal / (normal @ start)
         mine = np.array([[along @ across, along @ np.cross(start, across)]])
-        assert plain_costs(mine, *told)[0] < plain_costs(grid, *told).min() * 1.02 + 0.1
+        assert plain_costs(mine, *stated)[0] < plain_costs(grid, *stated).min() * 1.02 + 0.1
 
 
 @given(
@@ -251,8 +251,8 @@ def trusted(chroma: float, noise: float = 0.002) -> tuple[np.ndarray, np.ndarray
     rng = np.random.default_rng(5)
     loud = chroma * light + noise * np.sqrt(0.25 + bright) * rng.normal(size=light.shape)
     normal = solve_far_normals(loud.astype(np.float32), far, SIGHT.views, 5)
-    told = (far, cells_of(normal), normal, SIGHT.views, noise, 5.0)
-    trust, sigma = normal_trust(loud, bright, *told)
+    stated = (far, cells_of(normal), normal, SIGHT.views, noise, 5.0)
+    trust, sigma = normal_trust(loud, bright, *stated)
     return trust[INNER], np.degrees(sigma[INNER]), angle_deg(normal, SIGHT.normals)[INNER]
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from lightstage.formats.mesh import Mesh
 from processing.lighting.facets import BECKMANN, Facets, horizontal, unmasked
 from processing.lighting.interface import mirrored, skin_interface, smith
-from processing.lighting.lobe import transport
+from processing.lighting.lobe import SKIN_F0, fresnel_table, transport
 from processing.refinement.config import RefineConfig
 from processing.refinement.model_choice import (
     MARGIN,
@@ -30,7 +30,15 @@ from processing.refinement.scene import Scene, View, faces_camera, prepare_scene
 from processing.surface import see
 from tests.processing import lit_ball
 
-FAMILIES = (BECKMANN, Facets(tails=True), Facets(stretch=1.44), Facets(stretch=0.7))
+FAMILIES = (
+    BECKMANN,
+    Facets(tails=True),
+    Facets(stretch=1.44),
+    Facets(stretch=0.7),
+    Facets(covers=False),
+    Facets(rises=False),
+    Facets(True, rises=False, covers=False),
+)
 RIG = lit_ball.small_rig(1, 0.06)
 LIGHTS = lit_ball.lights_of_rig(RIG)
 ALBEDO = np.array([0.55, 0.33, 0.22])
@@ -84,6 +92,8 @@ def test_the_family_that_was_photographed_is_found(scene: Scene, facets: Facets)
     found, _ = chosen(scene, view(scene, facets))
     assert found.facets.tails == facets.tails
     assert found.facets.stretch == pytest.approx(facets.stretch, rel=0.03)
+    assert found.facets.rises == facets.rises
+    assert found.facets.covers == facets.covers
 
 
 def test_a_stretch_that_one_side_of_the_face_alone_asks_for_is_not_taken(scene: Scene) -> None:
@@ -128,8 +138,8 @@ def test_light_from_skin_to_skin_is_taken_where_it_is_photographed_alone(
     assert abs(step.gain) > 2 * step.error
 
 
-def test_a_skin_that_no_model_has_is_given_the_simplest_one(scene: Scene) -> None:
-    """A dark Lambertian skin without an interface, whose mirror reflects alike from all sides."""
+def test_dark_skin_without_an_interface_is_given_no_light_from_elsewhere(scene: Scene) -> None:
+    """A Lambertian skin under a mirror with long tails, too dark to tell: no step stands in."""
     seen = view(scene, BECKMANN)
     sight = seen.sight
     rng = np.random.default_rng(3)
@@ -215,6 +225,29 @@ def test_long_tails_mirror_more_of_grazing_light_and_stretching_changes_no_table
     assert np.abs(plain.table - skin_interface().table).max() > 1e-3
 
 
+@given(tails=st.booleans(), stretch=st.floats(0.5, 2), rises=st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_facets_that_cover_nothing_let_all_light_in(
+    tails: bool, stretch: float, rises: bool
+) -> None:
+    found = skin_interface(Facets(tails, stretch, rises, covers=False))
+    assert (found.table == 1).all()
+    assert found.entered_share(0.28) == 1
+    assert found.facets == Facets(tails, stretch, rises, covers=False)
+    # Whether the mirror rises changes nothing of what enters.
+    below = skin_interface(Facets(tails, stretch, rises))
+    np.testing.assert_array_equal(below.table, skin_interface(Facets(tails)).table)
+    assert below.facets.rises == rises
+
+
+def test_a_mirror_that_does_not_rise_reflects_less_of_grazing_light() -> None:
+    table, flat = fresnel_table(), fresnel_table(rises=False)
+    assert (flat == 1).all()
+    assert table[-1] == pytest.approx(1, abs=1e-3)
+    assert table[0] == pytest.approx(1 / SKIN_F0, rel=1e-3)
+    assert (table >= flat - 1e-3).all()
+
+
 def test_a_normal_turned_from_the_camera_is_not_used(scene: Scene) -> None:
     sight = view(scene, BECKMANN).sight
     assert faces_camera(sight).all()
@@ -230,3 +263,5 @@ def test_a_normal_turned_from_the_camera_is_not_used(scene: Scene) -> None:
 def test_names_tell_the_family() -> None:
     assert [facets.name for facets in FAMILIES[:2]] == ["Beckmann", "GGX"]
     assert FAMILIES[2].name == "Beckmann, 2.07 times as wide sideways as upward"
+    alike = "GGX, the same share at all angles, over skin that all light enters"
+    assert FAMILIES[6].name == alike

@@ -105,9 +105,9 @@ def test_eight_pixels_are_solved_as_each_alone(seed: int, lit: bool, shade: floa
     np.testing.assert_allclose(found[holds, 5:8], albedo[holds], atol=0.01)
     np.testing.assert_allclose(found[holds, 8:11], alone.power[holds], rtol=0.03)
     # Steeper slopes tell more.
-    told = found[holds, 14] / alone.matte_turn2[holds]
-    assert told.min() > 0.65
-    assert told.max() < 1.1
+    stated = found[holds, 14] / alone.matte_turn2[holds]
+    assert stated.min() > 0.65
+    assert stated.max() < 1.1
 
 
 def test_noise_turns_eight_chroma_normals_by_as_much_as_is_told() -> None:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from lightstage.formats.mesh import Mesh, vertex_normals
+from processing.laplacian import cotangent_laplacian, neighbour_mean, tie_components
 from processing.registration.flips import Faults, crossing_triangles, folded_triangles, mend
-from processing.registration.laplacian import cotangent_laplacian, neighbour_mean, tie_components
 from processing.registration.modes import ModesConfig, fit_modes
 from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid
 from processing.registration.rigid import Similarity

@@ -59,8 +59,8 @@ def test_no_stage_runs_in_a_folder_of_another_session(
         {"schema": "lightstage.landmarks/1", "scheme": "ibug68", "points_px": {}},
     )
     before = everything(processed)
-    said = r"made from session s-1 of subject anna, .* session ball of subject ball\. Choose anot"
-    with pytest.raises(LightstageError, match=said):
+    text = r"made from session s-1 of subject anna, .* session ball of subject ball\. Choose anot"
+    with pytest.raises(LightstageError, match=text):
         run(session, processed, TEMPLATE, PipelineConfig(), **asked)  # type: ignore[arg-type]
     assert everything(processed) == before
 
@@ -123,7 +123,7 @@ def no_record(out: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (older_atlas, "an atlas that is older than the stages before it"),
         (another_subject, "found session s-1 of subject berta, expected session s-1 of .* anna"),
@@ -132,10 +132,10 @@ def no_record(out: Path) -> None:
     ],
 )
 def test_a_store_refuses_an_atlas_that_may_be_of_somebody_else(
-    processed: Path, tmp_path: Path, change: Callable[[Path], None], said: str
+    processed: Path, tmp_path: Path, change: Callable[[Path], None], message: str
 ) -> None:
     change(processed)
-    with pytest.raises(LightstageError, match=said):
+    with pytest.raises(LightstageError, match=message):
         build_store([processed], tmp_path / "store")
 
 

@@ -71,5 +71,5 @@ def test_roughness_is_shown_on_its_own_scale() -> None:
 
 def test_a_confidence_says_what_its_dots_are_and_what_would_be_bad() -> None:
     for captions, black in ((CAPTIONS, "not solved"), (ATLAS_CAPTIONS, "no camera")):
-        for said in ("Dark dots", "Bad would be", black):
-            assert said in captions["confidence"]
+        for message in ("Dark dots", "Bad would be", black):
+            assert message in captions["confidence"]

@@ -80,12 +80,12 @@ def test_a_session_of_full_alone_becomes_a_mesh_and_says_what_it_is(
     words = (session, "--out", out, "--config", tmp_path / "c.toml")
     done = run_command("processing", "run", *words, "--until", "reconstruct", "--json")
     assert done.code == 0, done.err
-    told = json.loads(done.out.splitlines()[-1])
-    assert told["ran"] == ["decode", "reconstruct"]
-    facts = told["stages"]["reconstruct"]
+    stated = json.loads(done.out.splitlines()[-1])
+    assert stated["ran"] == ["decode", "reconstruct"]
+    facts = stated["stages"]["reconstruct"]
     assert facts["normals"] == "none: pictures alone"
     assert facts["alone_share"] == 0
-    assert any("full: lights that tell no normals" in said for said in told["warnings"])
+    assert any("full: lights that give no normals" in warning for warning in stated["warnings"])
     assert "none: pictures alone" in (out / "report.html").read_text()
     # A pixel is a millimetre wide; of the skin a third is seen by one camera or none.
     errors = evaluate(out, truth_path(session))["base_mesh"]
@@ -172,7 +172,7 @@ def test_landmarks_are_looked_for_in_photographs_where_there_is_no_albedo(
 
 
 @pytest.mark.parametrize(
-    ("patterns", "said"),
+    ("patterns", "message"),
     [
         (("full",), r"under x\+, y\+ and z\+ as well, by every camera"),
         (("full", "x+", "x-", "lin-z-"), r"under y\+ as well"),
@@ -181,6 +181,6 @@ def test_landmarks_are_looked_for_in_photographs_where_there_is_no_albedo(
         (("olat-001", "x-", "y-", "z-"), "under lights elsewhere as well"),
     ],
 )
-def test_the_photographs_that_are_needed_are_named(patterns: tuple[str, ...], said: str) -> None:
-    with pytest.raises(ProcessingError, match=said):
+def test_the_photographs_that_are_needed_are_named(patterns: tuple[str, ...], message: str) -> None:
+    with pytest.raises(ProcessingError, match=message):
         raise no_normals(patterns)

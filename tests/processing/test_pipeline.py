@@ -232,11 +232,11 @@ def test_no_landmarks_and_no_detector_are_told_before_any_stage_runs(
 ) -> None:
     (session / "landmarks.json").unlink(missing_ok=True)
     monkeypatch.setattr(weights, "PACKAGE", "no_such_package_at_all")
-    said = (
+    text = (
         r"landmarks\.json: found no such file, and no detector, expected 68 iBUG.*"
         r"Click them.*landmark_command.*Or install the detector: Run `make setup`"
     )
-    with pytest.raises(RegistrationError, match=said):
+    with pytest.raises(RegistrationError, match=text):
         run(session, tmp_path / "out", TEMPLATE, PipelineConfig())
     assert not (tmp_path / "out").exists()
 

@@ -17,8 +17,8 @@ from lightstage.patterns import SEQUENCES
 from processing.decode.diagnosis import read_diagnosis
 from processing.decode.diagnosis_page import grid, light_section, signed
 from processing.decode.preparation import PrepareConfig, prepare_view, prepare_warnings
-from processing.decode.shrinking import shrunk
 from processing.decode.subject_motion import Flow, monomials, solve_pair, warp
+from processing.frames.small import shrunk
 from processing.report import Picture, Table
 from tests.processing import lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball
@@ -142,8 +142,23 @@ def test_a_photograph_that_moved_is_laid_upon_full(tmp_path: Path) -> None:
     assert "y+" in facts["aligned"]
     assert facts["displaced_px"]["y+"] > 1.0
     assert np.abs(images[3] - still()[3])[SIGHT.mask].mean() < 0.4 * off
-    (told,) = prepare_warnings({"cam0": facts})
-    assert "moved" in told
+    (finding,) = prepare_warnings({"cam0": facts})
+    assert "moved" in finding
+
+
+@pytest.mark.parametrize("number", [1, 5])
+def test_a_scarf_that_moved_alone_leaves_the_face_as_it_was(tmp_path: Path, number: int) -> None:
+    """The lowest quarter of the subject slips aside in one photograph, and stays there."""
+    images = noisy(still())
+    rows = np.flatnonzero(SIGHT.mask.any(axis=1))
+    below = rows[0] + 3 * len(rows) // 4
+    flow = Flow(np.array([[6.0, 0.0]]), (0.0, 0.0), 1.0, 0)
+    images[number, below:] = moved(images[number], flow)[below:]
+    before = images.copy()
+    facts = prepared(images, tmp_path)
+    assert facts["aligned"] == []
+    np.testing.assert_array_equal(images, before)
+    assert facts["displaced_px"][PATTERNS[number]] > 1
 
 
 def test_flicker_of_one_photograph_is_evened_out_and_said(tmp_path: Path) -> None:
@@ -175,7 +190,7 @@ def test_swapped_photographs_are_named_and_nothing_is_warped(tmp_path: Path) -> 
     facts = prepared(images, tmp_path)
     assert facts["looks_like"] == {"x+": "y-", "y-": "x+"}
     np.testing.assert_array_equal(images, before)
-    assert any("looks like" in told for told in prepare_warnings({"cam0": facts}))
+    assert any("looks like" in stated for stated in prepare_warnings({"cam0": facts}))
 
 
 def test_patterns_without_pairs_are_left_alone(tmp_path: Path) -> None:
@@ -219,8 +234,8 @@ def test_small_pictures_are_the_means_of_their_cells(dtype: type) -> None:
 
 def test_the_report_shows_a_row_a_camera(tmp_path: Path) -> None:
     facts = prepared(noisy(still()), tmp_path)
-    told = {"sums": {"cam0": facts}, "clipped_share_of_foreground": {"cam0": 0.0123}}
-    section = light_section(tmp_path, told)
+    stated = {"sums": {"cam0": facts}, "clipped_share_of_foreground": {"cam0": 0.0123}}
+    section = light_section(tmp_path, stated)
     assert section is not None
     picture, table = section.parts
     assert isinstance(picture, Picture)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from processing.reconstruction.carry import carried, disagreement, laid_over
+from processing.reconstruction.carry import carried, disagreement, placed_over
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.grow import (
     CARRIED,
@@ -211,7 +211,7 @@ def kept_of(
 ) -> np.ndarray:
     cosines = np.stack([np.full(SHAPE, 0.5), np.full(SHAPE, 0.6)]).astype(np.float32)
     kept = np.zeros(SHAPE, bool)
-    laid_over(0, points, kinds.astype(np.int8), cosines, masks, projections, 3.0, kept)
+    placed_over(0, points, kinds.astype(np.int8), cosines, masks, projections, 3.0, kept)
     return kept
 
 
@@ -299,7 +299,7 @@ def test_laying_over_is_that_of_its_plain_twin_at_every_scale(seed: int, exponen
     given_ = positions.astype(np.float32), kinds, cosines, masks, projections, 3.0 * scale
     for view in range(3):
         kept = np.zeros(shape[1:], bool)
-        laid_over(view, *given_, kept)
+        placed_over(view, *given_, kept)
         np.testing.assert_array_equal(kept, plain_laid_over(view, *given_))
 
 

@@ -15,14 +15,14 @@ def fault(kind):
 
 
 @pytest.mark.parametrize(
-    ("poses", "views", "told"),
+    ("poses", "views", "values"),
     [
         (PoseError, ReconstructionError, PoseError),
         (PoseError, None, PoseError),
         (None, ReconstructionError, ReconstructionError),
     ],
 )
-def test_cameras_that_stand_elsewhere_are_named_before_any_other_fault(poses, views, told):
+def test_cameras_that_stand_elsewhere_are_named_before_any_other_fault(poses, views, values):
     def check(*given):
         del given
         if poses:
@@ -37,6 +37,6 @@ def test_cameras_that_stand_elsewhere_are_named_before_any_other_fault(poses, vi
     with (
         mock.patch.object(stage, "check_session_poses", check),
         mock.patch.object(stage, "read_views", read),
-        pytest.raises(told),
+        pytest.raises(values),
     ):
         stage.reconstruct(None, Path("nowhere"), ReconstructConfig())

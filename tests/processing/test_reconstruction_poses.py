@@ -160,6 +160,6 @@ def test_a_camera_that_drifted_a_little_is_warned_of_and_nothing_is_moved() -> N
     report = PoseReport(
         ("a", "b", "c", "d"), (90,) * 4, (0.2, 1.4, 9.0, nan), 4.0, (2,), (), 50, 0.3, 60.0
     )
-    said = drifted(report, CONFIG)
-    assert len(said) == 1
-    assert said[0].startswith("the matches of b miss the rig by 1.40 px (median, above 1.20)")
+    text = drifted(report, CONFIG)
+    assert len(text) == 1
+    assert text[0].startswith("the matches of b miss the rig by 1.40 px (median, above 1.20)")

@@ -85,7 +85,7 @@ def test_polarised_photographs_are_refined(tmp_path: Path, monkeypatch: pytest.M
     report = refined(session, out, "refine", monkeypatch)
     exact = errors(session, out)
     assert report["stages"]["refine"]["maps"] == "exact"
-    assert not [said for said in report["warnings"] if said.startswith("refine")]
+    assert not [warning for warning in report["warnings"] if warning.startswith("refine")]
     assert exact["normal_deg"] < 0.5 * coarse["normal_deg"]
     assert exact["facet_deg"] < 0.5 * coarse["facet_deg"]
     assert exact["albedo"] < 0.5 * coarse["albedo"]
@@ -102,7 +102,7 @@ def test_two_coloured_shots_keep_their_coarse_maps_and_a_warning(
     before = folder.read_view("cam0", "diffuse_albedo")
     report = refined(session, out, "refine", monkeypatch)
     assert report["stages"]["refine"]["maps"] == "coarse"
-    assert any("mux-1, mux-2 cannot be refined" in said for said in report["warnings"])
+    assert any("mux-1, mux-2 cannot be refined" in warning for warning in report["warnings"])
     np.testing.assert_array_equal(folder.read_view("cam0", "diffuse_albedo"), before)
     open_sky = folder.read_view("cam0", "ambient_occlusion")[folder.read_mask("cam0")]
     assert 0.1 < open_sky.min() < 0.8 < open_sky.max() <= 1

@@ -65,47 +65,47 @@ def test_damage_does_not_matter(scan):
     assert facts["solver_residual"] < 1e-2
 
 
-def said(scan):
+def refusal(scan):
     with pytest.raises(RegistrationError) as caught:
         register(scan)
     return str(caught.value)
 
 
 def test_a_scan_turned_inside_out_is_refused():
-    assert "inward" in said(Mesh(SCAN.vertices, SCAN.faces[:, ::-1].copy()))
+    assert "inward" in refusal(Mesh(SCAN.vertices, SCAN.faces[:, ::-1].copy()))
 
 
 def test_a_scan_of_the_back_is_refused():
     back = WHOLE.faces[(WHOLE.vertices[WHOLE.faces][:, :, 2] < -40).all(axis=1)]
-    assert "surface" in said(Mesh(WHOLE.vertices, back))
+    assert "surface" in refusal(Mesh(WHOLE.vertices, back))
 
 
 def test_points_without_a_surface_are_refused():
-    assert "surface" in said(Mesh(SCAN.vertices, np.zeros((0, 3), np.int32)))
-    assert "area" in said(Mesh(SCAN.vertices, np.repeat(SCAN.faces[:5, :1], 3, axis=1)))
+    assert "surface" in refusal(Mesh(SCAN.vertices, np.zeros((0, 3), np.int32)))
+    assert "area" in refusal(Mesh(SCAN.vertices, np.repeat(SCAN.faces[:5, :1], 3, axis=1)))
 
 
 def test_vertices_that_are_not_finite_are_refused():
     broken = SCAN.vertices.copy()
     broken[[3, 9]] = [np.nan, 0, np.inf]
-    assert "2 with NaN" in said(Mesh(broken, SCAN.faces))
+    assert "2 with NaN" in refusal(Mesh(broken, SCAN.faces))
 
 
 @pytest.mark.parametrize("factor", [0.1, 0.001, 1000.0])
 @pytest.mark.parametrize(
-    ("off", "said"),
+    ("off", "message"),
     [
         ("landmarks", "The scan is in mm. Scale the landmarks"),
         ("scan", "The landmarks are in mm. Scale the scan ("),
         ("both", "Scale the scan and its landmarks"),
     ],
 )
-def test_of_scan_and_landmarks_the_one_in_other_units_is_named(factor, off, said):
+def test_of_scan_and_landmarks_the_one_in_other_units_is_named(factor, off, message):
     scan = SCAN if off == "landmarks" else Mesh(factor * SCAN.vertices, SCAN.faces)
     marks = TRUTH[TEMPLATE.landmarks] * (1 if off == "scan" else factor)
     with pytest.raises(RegistrationError, match="units") as caught:
         first_pose(Target(scan), marks, np.ones(len(marks), bool), TEMPLATE)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(("factor", "name"), [(0.1, "cm"), (0.001, "metres"), (1.0, "mm")])

@@ -110,7 +110,7 @@ def test_landmarks_nearby_do_not_carry_away_an_ear_that_lies_in_its_place():
         np.median(np.linalg.norm(fit.vertices[ears] - vertices[ears], axis=1))
         for fit in (
             fit_nonrigid(
-                vertices, triangles, target, marks, goals, config, asked_both_ways=ears, in_place=at
+                vertices, triangles, target, marks, goals, config, both_ways=ears, in_place=at
             )
             for at in (None, ears)
         )

@@ -35,7 +35,7 @@ def test_a_steep_ridge_is_reached_when_the_scan_asks_too():
     marks = np.array([0, 18, 342, 360])
     left = {}
     for both in (None, middle):
-        found = fit_nonrigid(FLAT, FACES, RIDGED, marks, FLAT[marks], CONFIG, asked_both_ways=both)
+        found = fit_nonrigid(FLAT, FACES, RIDGED, marks, FLAT[marks], CONFIG, both_ways=both)
         assert not Faults(FLAT, FACES, RIDGED).all(found.vertices).any()
         mesh = Target(Mesh(found.vertices, FACES))
         left[both is None] = np.quantile(mesh.closest(top).distance_mm, 0.95)

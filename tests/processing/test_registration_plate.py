@@ -9,11 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightstage.formats.mesh import Mesh
-from processing.registration.contradictions import contradicted
-from processing.registration.laplacian import cotangent_laplacian
+from processing.laplacian import cotangent_laplacian
 from processing.registration.matches import GateConfig, Matcher
 from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid, hovering
-from processing.registration.plate import Plate, PlateConfig, Springs
+from processing.registration.plate import Plate, PlateConfig, Springs, contradicted
 from processing.registration.target import Target
 from tests.processing.shapes import ellipsoid, ellipsoid_template, refined, warp
 
@@ -52,8 +51,8 @@ def test_the_plate_agrees_with_a_dense_solve(seed, stiffness):
     assert np.abs(found - truth).max() < 1e-4
     # What it says of its residual is what it left.
     left = np.linalg.norm(dense @ found.ravel() - springs.pull.ravel())
-    said = plate.worst_residual * np.linalg.norm(springs.pull)
-    assert said == pytest.approx(left, rel=0.2, abs=1e-6)
+    text = plate.worst_residual * np.linalg.norm(springs.pull)
+    assert text == pytest.approx(left, rel=0.2, abs=1e-6)
 
 
 def test_smooth_is_the_solve_of_equal_springs():

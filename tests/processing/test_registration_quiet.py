@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from lightstage.formats.mesh import Mesh, vertex_normals
-from processing.registration.quiet import quieted
-from processing.registration.target import border_vertices
+from processing.registration.target import border_vertices, quieted
 from tests.processing.shapes import bumpy_ellipsoid
 
 

@@ -90,9 +90,9 @@ def only(indices, marks):
 
 
 def test_three_landmarks_are_refused():
-    said = refusal(lambda scan, marks: (scan, only([0, 20, 50], marks)))
-    assert "3 of 68" in said
-    assert "at least 4" in said
+    message = refusal(lambda scan, marks: (scan, only([0, 20, 50], marks)))
+    assert "3 of 68" in message
+    assert "at least 4" in message
 
 
 def test_landmarks_in_one_plane_are_refused():
@@ -104,19 +104,19 @@ def test_landmarks_in_one_plane_are_refused():
 
 
 def test_a_scan_in_metres_is_refused():
-    said = refusal(lambda scan, marks: (scan.with_vertices(scan.vertices / 1000), marks / 1000))
-    assert "mm" in said
-    assert "0.001" in said
+    message = refusal(lambda scan, marks: (scan.with_vertices(scan.vertices / 1000), marks / 1000))
+    assert "mm" in message
+    assert "0.001" in message
 
 
-@pytest.mark.parametrize(("scale", "said"), [(0.1, "a scan 10"), (1e-3, "e+03 times")])
-def test_a_template_in_centimetres_or_metres_is_refused(scale, said):
-    assert said in refusal(lambda scan, marks: (scan, marks), template_scale=scale)
+@pytest.mark.parametrize(("scale", "message"), [(0.1, "a scan 10"), (1e-3, "e+03 times")])
+def test_a_template_in_centimetres_or_metres_is_refused(scale, message):
+    assert message in refusal(lambda scan, marks: (scan, marks), template_scale=scale)
 
 
 def test_a_mirrored_template_is_refused():
-    said = refusal(lambda scan, marks: (scan, marks), template_scale=[-1, 1, 1])
-    assert "mirror" in said
+    message = refusal(lambda scan, marks: (scan, marks), template_scale=[-1, 1, 1])
+    assert "mirror" in message
 
 
 def test_a_mirrored_scan_is_refused():

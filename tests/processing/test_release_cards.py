@@ -18,7 +18,7 @@ from lightstage.errors import ConfigError, LightstageError
 from lightstage.formats.files import sha256_file
 from processing.dataset import About, Answers, PublishConfig, Store, build_store, open_store
 from processing.dataset.about import NEEDED, read_about
-from processing.dataset.groups import FEWEST, told
+from processing.dataset.groups import FEWEST, published_counts
 from processing.dataset.scan import AGE_BANDS, OLDEST, SEXES, age_band
 from tests.processing.releases import ABOUT, ABOUT_FILE, SMALL, Make, publish, small_store
 
@@ -57,8 +57,8 @@ def test_mlcroissant_takes_the_croissant_file_without_a_warning(
     assert metadata.data_social_impact == "Nobody looked."
     assert metadata.data_biases[-1] == "Nobody else."
     assert "C-" not in " ".join(metadata.personal_sensitive_information)
-    said = json.loads((out / "dataset.json").read_text())["cannot_protect"]
-    assert said in metadata.data_limitations
+    facts = json.loads((out / "dataset.json").read_text())["cannot_protect"]
+    assert facts in metadata.data_limitations
     for file in metadata.file_objects:
         assert file.sha256 == sha256_file(out / file.content_url)
     sets = {each.id: each for each in metadata.distribution if each.id in SETS}
@@ -91,8 +91,8 @@ def test_the_datasheet_gives_the_labs_answers_and_asks_for_the_others(
     about = dataclasses.replace(ABOUT, answers=Answers(funding="By the Hermit Fund."))
     out = publish(store, tmp_path / "out", config=SMALL, about=about)
     text = (out / "DATASHEET.md").read_text()
-    for said in ("By the Hermit Fund.", ABOUT.license, ABOUT.terms, *ABOUT.creators, ABOUT.url):
-        assert said in text
+    for message in ("By the Hermit Fund.", ABOUT.license, ABOUT.terms, *ABOUT.creators, ABOUT.url):
+        assert message in text
     assert text.count("**Not answered.**") == len(about.unanswered) == 11
     assert "funding" not in text.split("Not answered by the lab: ")[1].split("\n")[0]
     answers = Answers(**{field.name: "Said." for field in dataclasses.fields(Answers)})
@@ -159,7 +159,7 @@ def test_no_group_of_fewer_than_five_follows_from_what_is_told(groups: int, most
     for counts in itertools.product(range(most + 1), repeat=groups):
         if not FEWEST <= sum(counts) <= most:
             continue  # Of fewer than five people the total tells it.
-        shown = told(dict(zip("abcd", counts, strict=False)))
+        shown = published_counts(dict(zip("abcd", counts, strict=False)))
         assert all(count % FEWEST == 0 < count for count in shown.values())
         alike.setdefault((sum(counts), tuple(sorted(shown.items()))), []).append(counts)
     for (total, shown), tables in alike.items():
@@ -171,7 +171,7 @@ def test_no_group_of_fewer_than_five_follows_from_what_is_told(groups: int, most
 
 @given(st.lists(st.integers(0, 1000), max_size=8))
 def test_groups_that_are_told_hold_everybody_and_five_or_more(counts: list[int]) -> None:
-    shown = told({f"g{index}": count for index, count in enumerate(counts)})
+    shown = published_counts({f"g{index}": count for index, count in enumerate(counts)})
     groups = [name.replace(" or ", ", ").split(", ") for name in shown]
     everyone = [name for names in groups for name in names]
     assert not shown or everyone == [f"g{index}" for index in range(len(counts))]
@@ -194,10 +194,10 @@ def people(tmp_path: Path, make: Make, said: list[tuple[str | None, float | None
 
 
 def test_people_are_counted_by_what_the_store_knows(tmp_path: Path, make_processed: Make) -> None:
-    said: list[tuple[str | None, float | None]] = [("female", 20 + i) for i in range(6)]
-    said += [("male", 50), ("male", 51), (None, None), ("female", 29.9)]
-    said += [("male", 31.0)] * 3
-    store = people(tmp_path, make_processed, said)
+    lines: list[tuple[str | None, float | None]] = [("female", 20 + i) for i in range(6)]
+    lines += [("male", 50), ("male", 51), (None, None), ("female", 29.9)]
+    lines += [("male", 31.0)] * 3
+    store = people(tmp_path, make_processed, lines)
     out = publish(store, tmp_path / "out", config=TINY)
     tables = {t["what"]: t for t in json.loads((out / "dataset.json").read_text())["people_by"]}
     assert tables["sex"]["groups"] == ["female", "male, other or not known"]

@@ -52,10 +52,10 @@ def test_what_a_stage_imports_when_it_is_loaded_is_among_what_it_reaches(stage: 
         f"import sys, {STAGE_MODULES[stage]}; "
         "print([m.__file__ for m in sys.modules.values() if getattr(m, '__file__', None)])"
     )
-    said = subprocess.run(
+    printed = subprocess.run(
         [sys.executable, "-c", listed], capture_output=True, text=True, check=True, cwd=ROOT
     )
-    loaded = {Path(name) for name in eval(said.stdout)}
+    loaded = {Path(name) for name in eval(printed.stdout)}
     own = {path for name in CODE for path in [ROOT / name, *(ROOT / name).rglob("*.py")]}
     assert loaded & own <= set(reachable_files(STAGE_MODULES[stage], CODE))
 
@@ -124,8 +124,8 @@ def test_why_names_each_stages_reason_and_runs_nothing(
     times = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
     toml = tmp_path / "c.toml"
     toml.write_text("[separate]\nroughness = 0.3\n")
-    told = json.loads(ask("--config", toml, "--json").out)["stages"]
-    assert told == {
+    facts = json.loads(ask("--config", toml, "--json").out)["stages"]
+    assert facts == {
         "decode": None,
         "separate": "its configuration has changed",
         "reconstruct": "it has not run, or did not end",

@@ -223,24 +223,24 @@ def test_a_clone_that_lacks_something_is_named(clone, tmp_path, run_command):
     index = json.loads((model / "vertex_indices.json").read_text())
     (model / "vertex_indices.json").unlink()
     assert "vertex_indices.json" in ended(whole)
-    for marks, said in (
+    for marks, message in (
         (index["idx_to_landmark_verts"][:67], "67 entries"),
         ([*index["idx_to_landmark_verts"][:67], 10**6], "26719 vertices"),
         (None, "68 vertex indices"),
     ):
         value = {**index, "idx_to_landmark_verts": marks}
         (model / "vertex_indices.json").write_text(json.dumps(value))
-        assert said in ended(whole), said
+        assert message in ended(whole), message
     (model / "vertex_indices.json").write_text(json.dumps(index))
     assert "times as large" in ended(whole, "--unit", "mm")
     lines = (model / "identity003.obj").read_text().splitlines()
     first = next(k for k, line in enumerate(lines) if line.startswith("v "))
-    for changed, said in (
+    for changed, message in (
         ([*lines[:first], "v nan 0 0", *lines[first + 1 :]], "NaN"),
         ([*lines[:first], *lines[first + 1 :]], "of the same release"),
     ):
         (model / "identity003.obj").write_text("\n".join(changed))
-        assert said in ended(whole), said
+        assert message in ended(whole), message
     (model / "identity003.obj").unlink()
     text = (model / "generic_neutral_mesh.obj").read_text()
     (model / "generic_neutral_mesh.obj").write_text(text.replace("M_ScleraLeft", "other"))

@@ -57,14 +57,14 @@ def imported(run_command, mesh, marks, out, *words):
 
 
 @pytest.mark.parametrize(("unit", "name"), [(MM, "mm"), (CM, "cm"), (METRES, "m")])
-@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("given", [True, False])
 def test_axes_origin_and_unit_of_a_mesh_become_the_head_frame(
-    face, regions, tmp_path, run_command, unit, name, told
+    face, regions, tmp_path, run_command, unit, name, given
 ):
     moved = elsewhere(face, 1 / unit.mm)
     mesh = write_obj(moved, tmp_path / "head.obj")
     marks = write_points_mm(moved.vertices, tmp_path / "L.json")
-    words = ["--unit", name] if told else []
+    words = ["--unit", name] if given else []
     ended = imported(run_command, mesh, marks, tmp_path / "T", "--regions", regions, *words)
     assert ended.code == 0, ended.err
     made = load_template(tmp_path / "T")
@@ -180,9 +180,9 @@ def refusals(mesh, tmp_path):
 def test_what_cannot_be_a_template_is_one_message_and_nothing_is_left(face, tmp_path, run_command):
     wrong = {}
     out = tmp_path / "T"
-    for name, (mesh, marks, words, said) in refusals(face, tmp_path).items():
+    for name, (mesh, marks, words, message) in refusals(face, tmp_path).items():
         ended = imported(run_command, mesh, marks, out, *words)
-        if ended.code != 2 or said not in ended.err or "Traceback" in ended.err or out.exists():
+        if ended.code != 2 or message not in ended.err or "Traceback" in ended.err or out.exists():
             wrong[name] = (ended.code, ended.err)
     assert wrong == {}
 

@@ -374,10 +374,10 @@ def test_wrong_input_is_one_message_and_nothing_is_left(maps, folders, tmp_path,
         "--from-mesh": (maps, ["--to-mesh", folders["two mesh"]]),
     }
     wrong = {}
-    for said, (folder, words) in cases.items():
+    for message, (folder, words) in cases.items():
         ended = carried(run_command, folder, folders, out, *words)
-        if ended.code != 2 or said not in ended.err or out.exists() or "Traceback" in ended.err:
-            wrong[said] = (ended.code, ended.err)
+        if ended.code != 2 or message not in ended.err or out.exists() or "Traceback" in ended.err:
+            wrong[message] = (ended.code, ended.err)
     assert wrong == {}
     assert carried(run_command, maps, folders, out, *meshes(folders)).code == 0
     again = carried(run_command, maps, folders, out, *meshes(folders))

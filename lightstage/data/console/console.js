@@ -59,7 +59,10 @@ function pressed(event) {
   // A stop works from everywhere; other keys belong to what lies on top.
   const button = document.querySelector(`[data-key="${CSS.escape(event.key)}"]`);
   if (look.open && event.key !== "q") return;
-  if (button !== null) {
+  if (button !== null && button.dataset.says) {
+    event.preventDefault();
+    document.getElementById("said").textContent = button.dataset.says;
+  } else if (button !== null) {
     event.preventDefault();
     button.click();
   } else if (event.key in PAGES) {
@@ -91,7 +94,7 @@ function follow(part) {
 function write(told) {
   const list = document.getElementById("log");
   const line = document.createElement("li");
-  line.textContent = `${told.at} ${told.sign} ${told.text}${told.todo ? ". " + told.todo : ""}`;
+  line.textContent = `${told.at} ${told.sign} ${told.text.replace(/\.$/, "")}${told.todo ? ". " + told.todo : ""}`;
   list.prepend(line);
   while (list.children.length > LINES_SHOWN) list.lastChild.remove();
 }

@@ -14,9 +14,9 @@ from processing.calibration.folder import Pose
 from processing.calibration.picture import read_mosaic
 
 FEWEST = 8
-"""Fewer corners than this say too little about a pose."""
+"""Fewer corners than this determine a pose too poorly."""
 LARGEST_PX = 1600
-"""Markers are looked for in a picture whose longer side is at most this; corners in the whole."""
+"""Markers are found in a picture whose longer side is at most this; corners in the whole."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -42,15 +42,15 @@ def calibrate_cameras_command(
         found = make_cameras(source, settings, out, progress)
     for warning in found.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    told = found.facts["cameras"].values()
-    worst = max(each["residual_px"] for each in told)
-    held = [each["held_out_px"] for each in told if each["held_out_px"] is not None]
-    said = f", {max(held):.2f} px at most on boards held out" if held else ""
-    count = len(told) + len(found.unmeasured)
+    measured = found.facts["cameras"].values()
+    worst = max(each["residual_px"] for each in measured)
+    held = [each["held_out_px"] for each in measured if each["held_out_px"] is not None]
+    held_out = f", {max(held):.2f} px at most on boards held out" if held else ""
+    count = len(measured) + len(found.unmeasured)
     unchecked = f" ({len(found.unchecked)} unchecked)" if found.unchecked else ""
     finish(
-        f"{out}: {len(told)} of {counted(count, 'camera')} measured{unchecked}, boards within "
-        f"{worst:.2f} px (median of the worst){said}",
+        f"{out}: {len(measured)} of {counted(count, 'camera')} measured{unchecked}, boards within "
+        f"{worst:.2f} px (median of the worst){held_out}",
         {
             "out": str(out),
             **found.facts,

@@ -65,7 +65,7 @@ def adjust(
     if not used:
         raise ValueError("no camera saw a board that has a place")
     names = sorted({s.camera for s in used})
-    # COLMAP's rig stands on its first sensor; its pose in the result is brought back to ours.
+    # The origin of COLMAP's rig is its first sensor; the result is brought back to our frame.
     order = {name: k + 1 for k, name in enumerate(names)}
     first = _four(cameras[names[0]].cam_from_world)
     scene = pycolmap.Reconstruction()

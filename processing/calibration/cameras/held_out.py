@@ -17,7 +17,7 @@ PARTS = 4
 
 @dataclasses.dataclass(frozen=True)
 class HeldOut:
-    """What adjustments without some of the boards say; cameras that saw too few are absent.
+    """Results of adjustments without some of the boards; cameras that saw too few are absent.
 
     Attributes:
         off_px: camera to (n,) distances of corners on boards that it was not adjusted to.
@@ -36,9 +36,9 @@ def held_out(
     model: str,
     scale_px: float,
 ) -> HeldOut:
-    """Leave out each quarter of the boards in turn, and ask the rest where they lie.
+    """Leave out each quarter of the boards in turn, and predict their places from the rest.
 
-    How far the cameras' places then lie apart tells what chance leaves of them: the jackknife's
+    The spread of the cameras' places is what chance leaves of them: the jackknife's
     standard deviation [Efron1981].
 
     Args:
@@ -63,11 +63,11 @@ def held_out(
         for name, camera in fitted.cameras.items():
             pose = four(camera.cam_from_world) @ same
             places.setdefault(name, []).append(-pose[:3, :3].T @ pose[:3, 3])
-        asked = [s for s in sights if s.shot in out and s.camera in kept]
-        if not asked:
+        tested = [s for s in sights if s.shot in out and s.camera in kept]
+        if not tested:
             continue
         shown = adjust(
-            asked,
+            tested,
             corners_mm,
             fitted.cameras,
             found.boards,
@@ -76,7 +76,7 @@ def held_out(
             poses=False,
             scale_px=scale_px,
         )
-        for sight, miss in zip(asked, shown.residual_px, strict=True):
+        for sight, miss in zip(tested, shown.residual_px, strict=True):
             off.setdefault(sight.camera, []).append(miss)
     sigma = {
         name: round(float(np.sqrt((PARTS - 1) * np.var(every, axis=0).sum())), 4)

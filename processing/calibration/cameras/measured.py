@@ -38,7 +38,7 @@ class CamerasConfig:
         outlier_px: corners farther off than this after a first adjustment are left out.
         min_sights: boards that a camera must have seen.
         moved_mm: a camera found farther than this from where rig.json has it is warned of.
-        turned_deg: likewise by how much it looks elsewhere.
+        turned_deg: likewise for a camera's direction.
         unsure_mm: a camera whose place the boards leave less certain than this (standard deviation)
             is warned of.
         allow: ids of cameras that are kept whatever their residual.
@@ -63,7 +63,7 @@ class MeasuredCameras:
         facts: JSON-ready: residuals of each camera, also on boards that were held out.
         unmeasured: ids of cameras that keep what the rig had.
         unchecked: ids of measured cameras whose place could not be checked by other boards.
-        warnings: what to tell.
+        warnings: sentences for the user.
     """
 
     cameras: tuple[Camera, ...]
@@ -79,9 +79,9 @@ def measure_cameras(
     """Lenses and poses of all cameras that saw boards.
 
     OpenCV's calibration of each camera alone gives lenses to start with, boards that pairs of
-    cameras saw their relative poses; then everything is adjusted together. Boards tell how cameras
-    stand to each other, not where the stage is: the whole is laid onto the rig's own poses, cameras
-    that moved counting little.
+    cameras saw their relative poses; then everything is adjusted together. Boards determine the
+    cameras' poses to each other, not where the stage is: the whole is fitted to the rig's own
+    poses, where cameras that moved count little.
 
     Args:
         sights: boards as cameras saw them.
@@ -129,7 +129,7 @@ def measure_cameras(
     found = adjust(clean, corners, found.cameras, found.boards, model=config.model, scale_px=scale)
     held = held_out(clean, corners, found, config.min_sights, config.model, scale)
     world = onto(found.cameras, rig_cameras)
-    facts, unmeasured = _told(sights, clean, found, held, rig_cameras, world)
+    facts, unmeasured = _facts(sights, clean, found, held, rig_cameras, world)
     warnings += unmeasured + _unsure(facts["cameras"], config)
     measured = {
         name: dataclasses.replace(camera, cam_from_world=four(camera.cam_from_world)[:3] @ world)
@@ -137,9 +137,9 @@ def measure_cameras(
     }
     warnings += _moved(measured, rig_cameras, config)
     cameras = tuple(measured.get(camera.id, camera) for camera in rig.cameras)
-    told = facts["cameras"]
-    unmeasured = [name for name in rig_cameras if name not in told]
-    unchecked = [name for name, one in told.items() if one["place_sigma_mm"] is None]
+    found_cameras = facts["cameras"]
+    unmeasured = [name for name in rig_cameras if name not in found_cameras]
+    unchecked = [name for name, one in found_cameras.items() if one["place_sigma_mm"] is None]
     return MeasuredCameras(cameras, facts, unmeasured, unchecked, warnings)
 
 
@@ -161,7 +161,7 @@ def _lens_alone(sights: Sequence[Sight], corners_mm: np.ndarray, camera: Camera)
         return camera
     k1 = float(np.ravel(dist)[0])
     focal = float(lens[0, 0])
-    # Few boards held alike tell no focal length: what they give then is far from any lens.
+    # Few boards held alike determine no focal length: the result is then far from any lens.
     if not (0.7 < focal / camera.fx_px < 1.4 and abs(k1) < 2):
         return camera
     return dataclasses.replace(
@@ -184,7 +184,7 @@ def _without_outliers(sights: Sequence[Sight], found: Adjusted, limit_px: float)
     return out
 
 
-def _told(
+def _facts(
     sights: Sequence[Sight],
     clean: Sequence[Sight],
     found: Adjusted,
@@ -259,11 +259,11 @@ def _refuse(off: Mapping[str, float], config: CamerasConfig) -> list[str]:
     """Warnings of cameras that are off and allowed; PoseError for those that are not."""
     bad, warnings = [], []
     for name, miss_px in off.items():
-        said = f"{name} ({miss_px:.2f} px)"
+        camera = f"{name} ({miss_px:.2f} px)"
         if name in config.allow:
-            warnings.append(f"{said} was allowed")
+            warnings.append(f"{camera} was allowed")
         else:
-            bad.append(said)
+            bad.append(camera)
     if bad:
         raise PoseError(
             "cameras",
@@ -276,10 +276,10 @@ def _refuse(off: Mapping[str, float], config: CamerasConfig) -> list[str]:
     return warnings
 
 
-def _unsure(told: Mapping[str, Mapping[str, Any]], config: CamerasConfig) -> list[str]:
-    """What to tell of cameras whose place chance may have moved by too much."""
+def _unsure(cameras: Mapping[str, Mapping[str, Any]], config: CamerasConfig) -> list[str]:
+    """Warnings of cameras whose place chance may have moved by too much."""
     out = []
-    for name, one in told.items():
+    for name, one in cameras.items():
         sigma = one["place_sigma_mm"]
         if sigma is None:
             out.append(
@@ -298,7 +298,7 @@ def _unsure(told: Mapping[str, Mapping[str, Any]], config: CamerasConfig) -> lis
 def _moved(
     measured: Mapping[str, Camera], nominal: Mapping[str, Camera], config: CamerasConfig
 ) -> list[str]:
-    said = []
+    notes = []
     for name, camera in measured.items():
         shift = float(np.linalg.norm(camera.centre_mm - nominal[name].centre_mm))
         turn = camera.cam_from_world[:, :3] @ nominal[name].cam_from_world[:, :3].T
@@ -308,9 +308,9 @@ def _moved(
                 nominal,
                 key=lambda k: float(np.linalg.norm(camera.centre_mm - nominal[k].centre_mm)),
             )
-            like = f"; it stands where rig.json has {near}" if near != name else ""
-            said.append(
-                f"{name} stands {shift:.0f} mm and looks {turned:.1f} degrees from where rig.json "
+            like = f"; it is where rig.json has {near}" if near != name else ""
+            notes.append(
+                f"{name} is {shift:.0f} mm and {turned:.1f} degrees from where rig.json "
                 f"has it{like}"
             )
-    return said
+    return notes

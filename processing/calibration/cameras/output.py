@@ -23,14 +23,14 @@ from processing.records import versions
 
 @dataclasses.dataclass(frozen=True)
 class CamerasFile:
-    """What `calibrate-cameras` may be told; a table of its TOML file each."""
+    """Settings of `calibrate-cameras`; a table of its TOML file each."""
 
     board: BoardConfig = dataclasses.field(default_factory=BoardConfig)
     cameras: CamerasConfig = dataclasses.field(default_factory=CamerasConfig)
 
 
 def camera_settings(source: Source, values: Mapping[str, Any], where: str | Path) -> CamerasFile:
-    """Settings as a file names them; what it does not say of the board, the shots themselves tell.
+    """Settings as a file names them; the shots give what it does not name of the board.
 
     Args:
         source: the lab's shots.
@@ -40,9 +40,9 @@ def camera_settings(source: Source, values: Mapping[str, Any], where: str | Path
     Raises:
         ConfigError: an unknown key or a value of another type, in either.
     """
-    told = source.facts.get("charuco", {}).get("target", {})
+    target = source.facts.get("charuco", {}).get("target", {})
     shots = source.root / str(source.facts.get("charuco", {}).get("folder", ""))
-    board = make_config(BoardConfig, told, f"{shots / SHOTS_NAME}, target")
+    board = make_config(BoardConfig, target, f"{shots / SHOTS_NAME}, target")
     named = values.get("board", {})
     if isinstance(named, Mapping):
         values = {**values, "board": {**dataclasses.asdict(board), **named}}

@@ -33,7 +33,7 @@ def board_poses_of(
         sight: corners in pixels.
         corners_mm: (m, 3) of the board.
         lens: (3, 3) for pixels whose top-left centre is (0, 0).
-        dist: OpenCV's.
+        dist: (d,) OpenCV's distortion.
     """
     count, turns, shifts, _ = cv2.solvePnPGeneric(
         corners_mm[sight.ids], sight.pixels - 0.5, lens, dist, flags=cv2.SOLVEPNP_IPPE
@@ -57,7 +57,8 @@ def link(
 
     Args:
         pairs: of each shared board the first camera's sight and poses, and the second's.
-        corners_mm, lenses: as in `first_poses`.
+        corners_mm: (m, 3) of the board.
+        lenses: as in `first_poses`.
 
     Returns:
         (4, 4) second from first, and the mean distance of the boards in the second picture, px.
@@ -86,11 +87,11 @@ def first_poses(
     Args:
         sights: of all cameras.
         corners_mm: (m, 3) of the board.
-        lenses: camera to matrix (OpenCV's pixels) and distortion.
+        lenses: camera to (3, 3) matrix (OpenCV's pixels) and (d,) distortion.
 
     Returns:
         Camera to (4, 4) camera from reference, cameras that share no board with it left out; and
-        shot to (4, 4) reference from board. The reference itself stands at the identity, first.
+        shot to (4, 4) reference from board. The reference itself is the identity, and first.
     """
     poses = {(s.camera, s.shot): board_poses_of(s, corners_mm, *lenses[s.camera]) for s in sights}
     poses = {key: found for key, found in poses.items() if found}

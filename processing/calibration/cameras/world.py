@@ -1,4 +1,4 @@
-"""Measured cameras laid onto the poses of a rig.json: boards do not tell where the stage is."""
+"""Measured cameras fitted to the poses of a rig.json: boards do not show where the stage is."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lightstage.rig import Camera
 
 
 def onto(cameras: Mapping[str, Camera], nominal: Mapping[str, Camera]) -> np.ndarray:
-    """(4, 4) reference from world that lays cameras onto the rig's [Kabsch1976], robustly."""
+    """(4, 4) reference from world that fits cameras to the rig's [Kabsch1976], robustly."""
     names = sorted(cameras)
     here = np.array([cameras[name].centre_mm for name in names])
     there = np.array([nominal[name].centre_mm for name in names])

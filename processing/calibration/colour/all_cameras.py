@@ -14,13 +14,13 @@ from lightstage.rig import Camera
 from processing.calibration.ball import Picture, half
 from processing.calibration.colour.chart import ChartView, chart_places_mm, find_chart
 from processing.calibration.colour.fit import ChartSample, ColourFit, ColourFitConfig, fit_colour
-from processing.calibration.colour.flat_file import FlatField
 from processing.calibration.colour.grey import GreyConfig, ball_albedo
 from processing.calibration.colour.white import white_at
 from processing.calibration.folder import Pose
 from processing.calibration.picture import Mosaic, read_mosaic
 from processing.colour import ColourCorrection
 from processing.errors import ProcessingError
+from processing.raw.flat_file import FlatField
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,7 +31,7 @@ class ChartConfig:
     """``classic``, ``2014``, or a JSON file of a chart that was measured (chart_reference)."""
     pitch_mm: float | None = None
     """Between the middles of neighbouring patches; where absent the chart is taken to be held in
-    the stage's middle, which tells its size."""
+    the stage's middle, which gives its size."""
     max_tilt_deg: float = 40.0
     """Charts that are turned farther from a camera are not read by it."""
     clip_share: float = 0.99
@@ -44,10 +44,10 @@ class Seen:
 
     Attributes:
         pose: of the chart.
-        view: where its patches lie, and what they read with vignetting undone.
+        view: where its patches are, and what they read with vignetting undone.
         places_mm: (24, 3) of the patches' middles in the world.
         normal: (3,) unit, of the chart's face.
-        exposure: of the photograph; None where it does not tell.
+        exposure: of the photograph; None where its file has none.
         tilt_deg: between the chart's normal and the way to the camera.
     """
 
@@ -69,7 +69,7 @@ def see_charts(
 
     Args:
         poses: of the chart. One that was made for a camera is read by that camera; where nothing
-            says so, each camera takes the pose that it sees least tilted.
+            names none, each camera takes the pose that it sees least tilted.
         flats: fields of cameras that have one.
         chart: see there.
         progress: of photographs.
@@ -144,7 +144,7 @@ def check_grey(
     lights: LightSet,
     config: GreyConfig,
 ) -> tuple[dict[str, ColourCorrection], dict[str, Any]]:
-    """Compare what a grey ball reads with what it is; scale colours to it where that is asked.
+    """Compare what a grey ball reads with what it is; scale colours to it where that is wanted.
 
     Returns:
         The corrections, scaled where `config.sets_the_scale`, and facts: albedo by camera, its

@@ -1,4 +1,4 @@
-"""The 24-patch colour chart in a photograph: where its patches lie, what they read, how it stands.
+"""The 24-patch colour chart in a photograph: its patches' places and readings, and its pose.
 
 OpenCV's detector finds the chart and places patches up to a quarter of a patch off. So each patch
 is grown from its middle, and one homography of the 6 x 4 grid is fitted to the patches' centroids.
@@ -17,11 +17,11 @@ ROWS, COLUMNS = 4, 6
 PATCH_SHARE = 0.9
 """Side of a patch as a share of the pitch, on the classic chart."""
 INNER_SHARE = 0.55
-"""Of a patch's side that is read: what lies at its edges is blurred into the frame."""
+"""Of a patch's side that is read: the frame is blurred into its edges."""
 LOOKED_AT_PX = 1200
-"""Longer side of the picture in which the chart is looked for."""
+"""Longer side of the picture in which the chart is searched for."""
 GROW = 14
-"""A patch's pixels differ from its middle by at most so much of 255, encoded for looking."""
+"""A patch's pixels differ from its middle by at most so much of 255, encoded for display."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +90,7 @@ def find_chart(rgb: np.ndarray, clipped: np.ndarray) -> ChartView | None:
 def chart_places_mm(
     view: ChartView, camera: Camera, pitch_mm: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where a chart's patches lie in the world.
+    """Where a chart's patches are in the world.
 
     Args:
         view: from a picture of 2 x 2 cells of this camera.
@@ -103,7 +103,7 @@ def chart_places_mm(
     """
     grid = grid_places() - [(COLUMNS - 1) / 2, (ROWS - 1) / 2]
     flat = np.concatenate([grid, np.zeros((len(grid), 1))], axis=1)
-    # A cell's middle lies at the corner between its four pixels; OpenCV counts pixels' middles.
+    # A cell's middle is the corner between its four pixels; OpenCV counts pixels' middles.
     pixels = 2.0 * view.places_px + 0.5
     _, turns, shifts, _ = cv2.solvePnPGeneric(
         flat, pixels, camera.opencv_matrix, np.array(camera.dist), flags=cv2.SOLVEPNP_IPPE
@@ -114,7 +114,7 @@ def chart_places_mm(
         pitch_mm = float(np.linalg.norm(camera.centre_mm) / np.linalg.norm(shift))
     local = (flat @ rotation.T + shift) * pitch_mm
     turn, move = camera.cam_from_world[:, :3], camera.cam_from_world[:, 3]
-    # The grid's z points away from who looks at the face.
+    # The grid's z points away from a viewer of the face.
     return (local - move) @ turn, -(turn.T @ rotation[:, 2])
 
 
@@ -134,7 +134,7 @@ def _refined(
 
 
 def _shown(rgb: np.ndarray) -> np.ndarray:
-    """(h, w, 3) uint8 R G B, balanced by what is bright and encoded, for detectors to look at."""
+    """(h, w, 3) uint8 R G B, balanced by what is bright and encoded, for detectors."""
     top = np.maximum(np.percentile(rgb, 99.5, axis=(0, 1)), 1e-6)
     return np.asarray((255 * np.clip(rgb / top, 0, 1) ** (1 / 2.2)).astype(np.uint8))
 

@@ -64,7 +64,7 @@ def chart_reflectance(chart: str) -> np.ndarray:
 
     Args:
         chart: ``classic`` (the maker's sRGB values, right for all charts within some 2 Delta E),
-            ``2014`` (the maker's L*a*b* of charts made since November 2014; the cyan patch lies
+            ``2014`` (the maker's L*a*b* of charts made since November 2014; the cyan patch is
             outside sRGB and has a negative red), or a JSON file of a chart that was measured:
             ``{"schema": "lightstage.chart/1", "reflectance": [24 x [r, g, b]]}``.
 

@@ -2,8 +2,8 @@
 
 Both are fitted to the same patches, each weighted by how dark it is, and both are tried on patches
 that they did not see. The root-polynomial is used only where it does better there, on all patches
-and on the two of skin: six terms follow 24 patches closer than three whether or not the camera asks
-for it, and a stage for faces gains nothing from a truer green.
+and on the two of skin: six terms follow 24 patches closer than three whether or not the camera
+needs them, and a stage for faces gains nothing from a truer green.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 
 from processing.calibration.colour.chart_reference import NEUTRAL, SKIN
-from processing.calibration.colour.difference import delta_e_2000, lab_from_linear
 from processing.colour import ColourCorrection, root_terms
+from processing.colour_difference import delta_e_2000, lab_from_linear
 from processing.errors import ProcessingError
 
 PATCHES = 24
@@ -198,7 +198,7 @@ def _solve(
     rows, targets = [], []
     for sample in samples:
         # Divided by its own white each patch counts alike however it was lit; both ways of
-        # correcting are homogeneous, so a patch under its mean light stands for it.
+        # correcting are homogeneous, so a patch under its mean light represents it.
         light = sample.white.mean(axis=1, keepdims=True)
         raw = sample.raw / light
         terms = root_terms(raw) if root_polynomial else raw
@@ -251,7 +251,7 @@ def _white_balance(samples: list[ChartSample], known: np.ndarray, kept: np.ndarr
 
 
 def _delta_e(read: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """(24,) colour differences; what is no number looks as unlike as anything."""
+    """(24,) colour differences; what is no number counts as infinitely different."""
     difference = delta_e_2000(lab_from_linear(read), lab_from_linear(known))
     return np.where(np.isfinite(difference), difference, 1000.0)
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from lightstage.counting import counted
 from lightstage.rig import Camera
-from processing.calibration.colour.flat_file import FlatField
 from processing.calibration.picture import Mosaic
 from processing.errors import ProcessingError
+from processing.raw.flat_file import FlatField
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +33,7 @@ class FlatConfig:
     max_dark_level: float = 0.01
     """A dark brighter than this in the mean is refused: the lens cap was off."""
     hot_level: float = 0.004
-    """A pixel that stands out by more in every dark is hot, share of white."""
+    """A pixel that is brighter by more in every dark is hot, share of white."""
     hot_sigmas: float = 8.0
     """And by more than so many standard deviations of the noise."""
     max_hot_share: float = 0.001
@@ -91,7 +91,7 @@ def fit_flat(
 def read_darks(
     darks: list[Mosaic], field: FlatField, config: FlatConfig, where: str
 ) -> tuple[FlatField, dict[str, Any]]:
-    """The field with what darks tell: black level beside the file's, and hot pixels.
+    """The field with what darks show: black level beside the file's, and hot pixels.
 
     Raises:
         ProcessingError: light in them, or photographs of unlike size.
@@ -107,7 +107,7 @@ def read_darks(
     for index, (row, column) in enumerate(places):
         stack = np.stack([dark.level[row::2, column::2] for dark in darks])
         middle = np.median(stack)
-        # Counts are whole numbers: the median says which, the mean near it how far in between.
+        # Counts are whole numbers: the median finds which, the mean near it the place in between.
         spread = 1.4826 * float(np.median(np.abs(stack - middle)))
         near = np.abs(stack - middle) <= max(5 * spread, 1e-4)
         offset[index] = float(stack[near].mean())
@@ -140,7 +140,7 @@ def _require_usable(flat: Mosaic, camera: Camera, config: FlatConfig, where: str
         raise ProcessingError(
             where,
             found=f"{width} x {height} pixels",
-            expected=f"{camera.width_px} x {camera.height_px} as rig.json says",
+            expected=f"{camera.width_px} x {camera.height_px} as in rig.json",
         )
     if clipped > config.max_clipped_share or level < config.min_level:
         raise ProcessingError(

@@ -20,7 +20,7 @@ class GreyConfig:
 
     radius_mm: float = 38.1
     reflectance: float = 0.18
-    """Of the ball, as its maker tells or a spectrometer measured it."""
+    """Of the ball, as its maker states or a spectrometer measured it."""
     sets_the_scale: bool = False
     """Whether colours are scaled to it; else to the chart's neutral patches, and it is a check."""
     facing: float = 0.5
@@ -78,6 +78,6 @@ def ball_albedo(
             where,
             found="no lit part of the ball in any camera",
             expected="a grey ball in the middle of the stage",
-            hint="Is the ball's radius told right?",
+            hint="Is the ball's radius right?",
         )
     return albedo, facts

@@ -29,11 +29,11 @@ from processing.calibration.lights.ratios import (
     fit_ratios,
     lamp_normals,
     ratio_vectors,
-    unit,
 )
 from processing.errors import ProcessingError
 from processing.lighting.lamps import NO_STRAY, Lamps
 from processing.lighting.lights import lights_of
+from processing.vectors import unit
 
 AXES = ("x", "y", "z")
 

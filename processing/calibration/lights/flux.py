@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 LEAST_FREE = 10
-"""Highlights beyond those that lamps' and photographs' own levels take, to tell their error."""
+"""Highlights beyond those that determine lamps' and photographs' levels, for their error."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Flux:
 def intensities(flux: Flux, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Lamps' radiant intensities from their highlights, relative to each other.
 
-    A mirror ball sends a lamp's light into all directions alike, so each highlight tells the same
-    of its lamp but for its photograph's scale, and for sampling: their median counts.
+    A mirror ball sends a lamp's light into all directions alike, so each highlight measures the
+    same of its lamp but for its photograph's scale, and for sampling: their median counts.
 
     Args:
         flux: the highlights'.
@@ -38,7 +38,7 @@ def intensities(flux: Flux, count: int) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         (count, 3) natural logarithms, median 0 in each channel; NaN where unknown. (count,) their
         standard errors; infinite where unknown. All are unknown where hardly a lamp is seen twice,
-        as nothing then tells how far one highlight is off.
+        as nothing then shows how far one highlight is off.
     """
     usable = np.isfinite(flux.intensity).all(axis=1) & (flux.intensity > 0).all(axis=1)
     lamp, group = flux.lamp[usable], flux.group[usable]
@@ -60,7 +60,7 @@ def intensities(flux: Flux, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _spread(left: np.ndarray, lamp: np.ndarray, group: np.ndarray, seen: np.ndarray) -> float:
-    """Standard deviation of one highlight's logarithm; infinite where too few tell.
+    """Standard deviation of one highlight's logarithm; infinite where there are too few.
 
     A lamp's only highlight fits itself, so that lamps count which were seen at least twice.
     """

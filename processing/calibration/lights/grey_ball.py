@@ -2,7 +2,7 @@
 
 A Lambertian place of normal n at p reads s sum_l level_l w_l max(0, n . l) (d0 / d)^2 c^e, with w_l
 what the lamp gives, s the camera's scale, c the cosine to the lamp's axis. A cosine lobe is broad,
-so a few patterns cannot tell each lamp: gains are sought nearest to what is known of them (their
+so a few patterns cannot measure each lamp: gains are sought nearest to what is known of them (their
 highlights in the mirror ball, or 1), e the same. What lamps cannot explain is kept as an affine and
 quadratic function of the normal for each pattern.
 """
@@ -22,8 +22,8 @@ SOLVES = 20
 """Rounds at most: lamps near what is known of them settle in five, unlike ones (a standard
 deviation of 0.5 of the logarithms) in twenty."""
 CHANNELS = 3
-TOLD_SHARE = 0.5
-"""The balls tell the exponent when they leave less than this share of its uncertainty."""
+MEASURED_SHARE = 0.5
+"""The balls measure the exponent when they leave less than this share of its uncertainty."""
 FIXED = 1e-6
 CONVERGED = 1e-5
 LARGEST_STEP = 0.5
@@ -62,10 +62,11 @@ class GreyConfig:
 
     Attributes:
         radius_mm: of the ball, about.
-        gain_sigma: how far lamps' gains may be from nominal, as a share, where no highlights tell.
-        highlight_sigma: at least so far from what their highlights tell.
-        exponent: of a lamp's fall-off with the angle to its axis, where the balls do not tell: 1 is
-            a bare LED.
+        gain_sigma: how far lamps' gains may be from nominal, as a share, where no highlights show
+        them.
+        highlight_sigma: the least standard deviation of gains from highlights.
+        exponent: of a lamp's fall-off with the angle to its axis, where the balls do not show it: 1
+            is a bare LED.
         exponent_sigma: how far it may be from that.
         noise_share: error of a reading, as a share of the typical one under all lamps.
         stray_share: stray light expected, as a share of a pattern's mean light.
@@ -91,7 +92,7 @@ class Gains:
         sigma: (L,) standard deviation of one, as a share.
         exponent: of the lamps' fall-off.
         exponent_sigma: its standard deviation; near the configuration's where the balls do not
-            tell and its exponent is taken.
+            measure it and its exponent is taken.
         stray: pattern to (3, 3, 4), see formats.lights.
         before: root mean square error of a reading with nominal gains, as a share of the typical
             one under all lamps.
@@ -137,7 +138,7 @@ def solve_gains(
     _, _, exponent, sigma = _solve(
         readings, grey, lamps_mm, log.mean(axis=1), prior, group_count, config
     )
-    if sigma > TOLD_SHARE * config.exponent_sigma:
+    if sigma > MEASURED_SHARE * config.exponent_sigma:
         # A ball in the middle sees every lamp along its axis, and would fit its own noise.
         exponent = config.exponent
     exponent = max(exponent, 0.0)
@@ -166,18 +167,18 @@ def solve_gains(
 def expected_gains(
     known_log: np.ndarray, known_sigma: np.ndarray, config: GreyConfig
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(L, 3) logarithms of gains before the grey ball is looked at, and (L,) how well known."""
-    told = np.isfinite(known_log).all(axis=1) & np.isfinite(known_sigma)
-    log = np.where(told[:, None], known_log, 0.0)
-    known = np.hypot(np.where(told, known_sigma, 0.0), config.highlight_sigma)
+    """(L, 3) logarithms of gains before the grey ball is used, and (L,) how well known."""
+    measured = np.isfinite(known_log).all(axis=1) & np.isfinite(known_sigma)
+    log = np.where(measured[:, None], known_log, 0.0)
+    known = np.hypot(np.where(measured, known_sigma, 0.0), config.highlight_sigma)
     usual = config.gain_sigma**2
     # How unlike a stage's lamps are shows where highlights err less than lamps usually differ.
-    sharp = told & (known < 2 * config.gain_sigma)
+    sharp = measured & (known < 2 * config.gain_sigma)
     if sharp.any():
         spread = 1.4826 * float(np.median(np.abs(log[sharp] - np.median(log[sharp], axis=0))))
         usual = max(usual, spread**2 - float(np.median(known[sharp])) ** 2)
-    share = np.where(told, usual / (usual + known**2), 0.0)
-    return log * share[:, None], np.where(told, known * np.sqrt(share), np.sqrt(usual))
+    share = np.where(measured, usual / (usual + known**2), 0.0)
+    return log * share[:, None], np.where(measured, known * np.sqrt(share), np.sqrt(usual))
 
 
 def lamp_readings(
@@ -268,7 +269,7 @@ def _solve(
             field="gains",
             found=f"lamps that do not settle: round {SOLVES} moved one by {moved:.2g}",
             expected="readings that the rig's lamps explain",
-            hint="Check that the rig and the levels are those of the shots, that the ball stands "
+            hint="Check that the rig and the levels are those of the shots, that the ball is "
             "where it was photographed, and that nothing but the ball is in its outline.",
         )
     sigma_of = np.sqrt(np.diag(np.linalg.inv(normal)))

@@ -37,7 +37,7 @@ def read_grey_ball(shots: BallShots, config: GreyConfig, steps: Steps) -> Readin
             field="radius_mm",
             found=f"a grey ball of {outline.radius_mm:.1f} mm radius in the photographs",
             expected=f"{config.radius_mm:g} mm",
-            hint="Measure the ball and tell its radius.",
+            hint="Measure the ball and give its radius.",
         )
     patterns = tuple(shots.levels)
     parts = []

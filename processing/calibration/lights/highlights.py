@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from lightstage.rig import Camera
 from processing.calibration.ball import Picture, sphere_hits
+from processing.vectors import unit
 
 MIRROR_ROUNDS = 30
 
@@ -146,8 +147,8 @@ def expected_px(
     normal = np.zeros_like(lamps)
     seen = np.ones(len(lamps), bool)
     for _ in range(MIRROR_ROUNDS):
-        to_lamp, to_camera = _unit(lamps - points), _unit(camera.centre_mm - points)
-        normal = _unit(to_lamp + to_camera)
+        to_lamp, to_camera = unit(lamps - points), unit(camera.centre_mm - points)
+        normal = unit(to_lamp + to_camera)
         seen = np.einsum("nk,nk->n", normal, to_camera) > 0
         points = centre_mm + radius_mm * normal
     pixels, _ = camera.project(points)
@@ -169,8 +170,3 @@ def _frame(rgb: np.ndarray, rows: slice, columns: slice) -> np.ndarray:
     outer = rgb[rows.start - 1 : rows.stop + 1, columns.start - 1 : columns.stop + 1]
     border = np.concatenate([outer[0], outer[-1], outer[1:-1, 0], outer[1:-1, -1]])
     return np.asarray(np.median(border, axis=0))
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.maximum(length, 1e-12))

@@ -1,6 +1,6 @@
 """Where lamps stand, from a mirror ball in two places or more before several cameras.
 
-A highlight's pixel gives a ray, the ball turns it, and the lamp lies on it. Lamps, the ball's
+A highlight's pixel gives a ray, the ball turns it, and the lamp is on it. Lamps, the ball's
 places and its radius are solved together: least squares of the highlights' distances in pixels,
 with the rig's own positions as a weak prior, since rays that all start on a ball meet at sharp
 angles far away.
@@ -42,7 +42,7 @@ class Seen:
             linear gradients show it; NaN where unknown.
         signature: (L, 3) the same of each lamp's levels.
         level: (L,) of each lamp in the photograph.
-        apart_px: highlights nearer to each other than this cannot be told apart.
+        apart_px: highlights nearer to each other than this cannot be distinguished.
     """
 
     pose: int
@@ -65,7 +65,7 @@ class MirrorConfig:
         position_sigma_mm: how far lamps may stand from where the rig has them.
         place_sigma_mm: how far from the stage's centre the ball may stand.
         noise_px: least error of a highlight's centroid.
-        gate_px: a highlight is a lamp's only if it lies nearer than this to where it should.
+        gate_px: a highlight is a lamp's only if it is nearer than this to where it should be.
         window_share: half the width of a highlight's window, as a share of the ball's radius.
         floor_share: highlights are brighter than this share of the brightest.
         noise_times: and than this many times the noise.
@@ -97,7 +97,7 @@ class Placed:
         centres_mm: (poses, 3) the ball's places.
         radius_mm: the ball's.
         rms_px: over all highlights used.
-        flux: what the highlights say of the lamps' gains, see `Flux`.
+        flux: what the highlights give of the lamps' gains, see `Flux`.
     """
 
     position_mm: np.ndarray
@@ -152,7 +152,7 @@ def solve_lamps(
             field="radius_mm",
             found=f"a mirror ball of {state.radius_mm:.1f} mm radius in the photographs",
             expected=f"{config.radius_mm:g} mm",
-            hint="Measure the ball and tell its radius.",
+            hint="Measure the ball and give its radius.",
         )
     return _placed(matched, state, nominal_mm, config)
 

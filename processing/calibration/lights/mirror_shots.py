@@ -74,9 +74,9 @@ def _single_highlights(
 def _gradients(
     shots: BallShots, camera_id: str, found: Highlights, reach: float, steps: Steps
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What linear gradients tell of each highlight, and the same of each lamp's levels."""
+    """The places of highlights by linear gradients, and the same of each lamp's levels."""
     count = len(next(iter(shots.levels.values())))
-    told, known = np.full((len(found.place_px), 3), np.nan), np.full((count, 3), np.nan)
+    gradients, known = np.full((len(found.place_px), 3), np.nan), np.full((count, 3), np.nan)
     for k, axis in enumerate(AXES):
         names = [f"lin-{axis}{sign}" for sign in "+-"]
         if not all(name in shots.levels for name in names):
@@ -86,11 +86,11 @@ def _gradients(
             picture = shots.read(name, camera_id)
             steps.one()
             light.append(flux_at(picture, found.place_px, reach).mean(axis=1))
-        told[:, k] = _difference(*light)
+        gradients[:, k] = _difference(*light)
         known[:, k] = _difference(*(shots.levels[name] for name in names))
-    # Told in part is not told: a chord of one axis would let others pass.
-    told[np.isnan(told).any(axis=1)] = np.nan
-    return told, known
+    # A place with one coordinate is no place: a chord of one axis would let others pass.
+    gradients[np.isnan(gradients).any(axis=1)] = np.nan
+    return gradients, known
 
 
 def _difference(plus: np.ndarray, minus: np.ndarray) -> np.ndarray:

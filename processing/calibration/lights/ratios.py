@@ -12,6 +12,7 @@ import numpy as np
 from processing.calibration.lights.grey_ball import Readings
 from processing.lighting.lights import PatternLights, irradiance_vectors, no_shadows
 from processing.normals import solve_normals
+from processing.vectors import unit
 
 AXES = ("x", "y", "z")
 NEAR_SOLVES = 6
@@ -48,13 +49,13 @@ def fit_ratios(ratios: np.ndarray, normals: np.ndarray, degree: int) -> np.ndarr
 
 def corrected(ratios: np.ndarray, fitted: np.ndarray) -> np.ndarray:
     """(n, 3) unit normals by ratios and what `fit_ratios` gave."""
-    return unit(ratio_terms(ratios, 1 if len(fitted) == 4 else 2) @ fitted)
+    return unit(ratio_terms(ratios, 1 if len(fitted) == 4 else 2) @ fitted, shortest=0)
 
 
 def lamp_normals(readings: Readings, lights: PatternLights) -> np.ndarray:
     """(n, 3) unit normals by the lamps' irradiance at each place; zero where there is none."""
     signal = readings.rgb.mean(axis=2)
-    normals = unit(ratio_vectors(readings))
+    normals = unit(ratio_vectors(readings), shortest=0)
     open_sky = no_shadows(len(signal), lights)
     for _ in range(NEAR_SOLVES):
         vectors = irradiance_vectors(lights, readings.points_mm, normals, open_sky)
@@ -65,10 +66,3 @@ def lamp_normals(readings: Readings, lights: PatternLights) -> np.ndarray:
 def errors_deg(found: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """(n,) angle between unit normals, degrees."""
     return np.asarray(np.degrees(np.arccos(np.clip(np.sum(found * normals, axis=1), -1, 1))))
-
-
-def unit(vectors: np.ndarray) -> np.ndarray:
-    """(n, 3) the same directions at length 1; zero where they have none."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    good = np.isfinite(length) & (length > 0)
-    return np.asarray(np.where(good, vectors / np.where(good, length, 1), 0))

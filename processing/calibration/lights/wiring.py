@@ -1,9 +1,9 @@
 """Which lamp of the rig each wire lights, from a mirror ball photographed light after light.
 
 All photographs together show the highlights of all lamps, whatever the wires do. So each camera's
-highlights are first laid over those of the rig's lamps as a whole, by a shift, a scale and a turn,
-which take up where the ball stands and how the camera is aimed. Then each photograph's highlight
-is the nearest lamp's, if it lies clearly nearer to that one than to the next, in the median over
+highlights are first placed over those of the rig's lamps as a whole, by a shift, a scale and a
+turn, which account for the ball's place and the camera's aim. Then each photograph's highlight
+is the nearest lamp's, if it is clearly nearer to that one than to the next, in the median over
 cameras.
 """
 
@@ -25,7 +25,7 @@ lamp's. Lamps whose directions differ by 6 degrees are so far apart in the middl
 CLEAR = 0.5
 """The next lamp's highlight must be farther off than the nearest one's over this."""
 LEAST_SEEN = 4
-"""Highlights of one camera below which they cannot be laid over the lamps' as a whole."""
+"""Highlights of one camera below which they cannot be placed over the lamps' as a whole."""
 ROUNDS, AGAIN = 30, 4
 TINY = 1e-12
 MOST_OFF_MM = 300.0
@@ -35,7 +35,7 @@ SPREAD = (10.0, 90.0)
 START_STEP, START_STEPS = 1.5, 2
 """Of the gate, and how many to each side: starts around equal medians."""
 SCALES = (0.8, 1.25)
-"""Between which that scale is looked for: a ball elsewhere, a lens that the rig has wrong."""
+"""Limits of that scale: a ball elsewhere, a lens that the rig has wrong."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,15 +68,15 @@ def find_wiring(seen: list[Seen], rig: Rig, radius_mm: float) -> Wiring:
     gate_mm = GATE_SHARE * radius_mm
     places = {each.pose: np.zeros(3) for each in seen}
     views = [_view(each, rig, radius_mm, places) for each in seen]
-    laid = [_laid_over(view, gate_mm) for view in views]
-    found = _decided(views, laid, len(rig.lights), gate_mm)
+    placed = [_placed_over(view, gate_mm) for view in views]
+    found = _decided(views, placed, len(rig.lights), gate_mm)
     for _ in range(AGAIN):
-        # A camera whose highlights were laid one lamp aside is put right by what the others know;
-        # and where the ball stands changes the highlights of lamps behind it not alike.
-        places = _ball_places(views, laid, places)
+        # A camera whose highlights were placed one lamp aside is corrected by what the others know;
+        # and the ball's place changes the highlights of lamps behind it differently.
+        places = _ball_places(views, placed, places)
         views = [_view(each, rig, radius_mm, places) for each in seen]
-        laid = [_by_known(view, found.lamp) for view in views]
-        found = _decided(views, laid, len(rig.lights), gate_mm)
+        placed = [_by_known(view, found.lamp) for view in views]
+        found = _decided(views, placed, len(rig.lights), gate_mm)
     return found
 
 
@@ -108,14 +108,14 @@ def _view(each: Seen, rig: Rig, radius_mm: float, places: dict[int, np.ndarray])
 
 
 def _ball_places(
-    views: list[_View], laid: list[np.ndarray | None], before: dict[int, np.ndarray]
+    views: list[_View], placed: list[np.ndarray | None], before: dict[int, np.ndarray]
 ) -> dict[int, np.ndarray]:
-    """Where the ball stood in each pose: nearest to the rays through its middle in all pictures."""
+    """The ball's place in each pose: nearest to the rays through its middle in all pictures."""
     out = {}
     for pose, place in before.items():
         pairs = [
             (view.seen.camera, own[-1])
-            for view, own in zip(views, laid, strict=True)
+            for view, own in zip(views, placed, strict=True)
             if own is not None and view.seen.pose == pose
         ]
         out[pose] = place
@@ -129,11 +129,11 @@ def _ball_places(
 
 
 def _decided(
-    views: list[_View], laid: list[np.ndarray | None], count: int, gate_mm: float
+    views: list[_View], placed: list[np.ndarray | None], count: int, gate_mm: float
 ) -> Wiring:
-    """Which lamp each wire lights, with the lamps' highlights laid over each view's."""
+    """Which lamp each wire lights, with the lamps' highlights placed over each view's."""
     off: list[list[np.ndarray]] = [[] for _ in range(count)]
-    for view, places in zip(views, laid, strict=True):
+    for view, places in zip(views, placed, strict=True):
         if places is None:
             continue
         off_px = view.seen.found.place_px[:, None] - places[None, :-1]
@@ -179,12 +179,12 @@ def sure_lamps(table: np.ndarray, gate_mm: float) -> np.ndarray:
         lamp = fresh
 
 
-def _laid_over(view: _View, gate_mm: float) -> np.ndarray | None:
+def _placed_over(view: _View, gate_mm: float) -> np.ndarray | None:
     """`want_px` of a view, moved and scaled as a whole onto the highlights that were found.
 
     From equal medians and spreads on, and from places around them where some highlights are
     missing, by nearest neighbours, as in iterative closest points [Besl1992]; the start counts
-    after which they lie nearest. None where there are too few to tell.
+    after which they are nearest. None where there are too few.
     """
     found, want, visible = view.seen.found.place_px, view.want_px, view.visible
     if min(len(visible), len(found)) < LEAST_SEEN:
@@ -199,26 +199,26 @@ def _laid_over(view: _View, gate_mm: float) -> np.ndarray | None:
     steps = step * np.arange(-START_STEPS, START_STEPS + 1)
     best, least = None, np.inf
     for start in np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2):
-        laid = _settled(first + middle + start, want, visible, found, gate_px)
-        far = np.asarray(cKDTree(laid[visible]).query(found)[0])
+        placed = _settled(first + middle + start, want, visible, found, gate_px)
+        far = np.asarray(cKDTree(placed[visible]).query(found)[0])
         score = float(np.minimum(far, gate_px).mean())
         if score < least:
-            best, least = laid, score
+            best, least = placed, score
     return best
 
 
 def _settled(
-    laid: np.ndarray, want: np.ndarray, visible: np.ndarray, found: np.ndarray, gate_px: float
+    placed: np.ndarray, want: np.ndarray, visible: np.ndarray, found: np.ndarray, gate_px: float
 ) -> np.ndarray:
-    """Iterative closest points from where (L, 2) highlights are laid at first."""
+    """Iterative closest points from where (L, 2) highlights are placed at first."""
     for _ in range(ROUNDS):
-        far, index = map(np.asarray, cKDTree(laid[visible]).query(found))
+        far, index = map(np.asarray, cKDTree(placed[visible]).query(found))
         near = far <= max(gate_px, float(np.median(far)))
         fresh = _moved(want, visible[index[near]], found[near])
-        if fresh is None or np.allclose(fresh[visible], laid[visible], atol=1e-6):
+        if fresh is None or np.allclose(fresh[visible], placed[visible], atol=1e-6):
             break
-        laid = fresh
-    return laid
+        placed = fresh
+    return placed
 
 
 def _by_known(view: _View, lamp: np.ndarray) -> np.ndarray | None:
@@ -232,7 +232,7 @@ def _moved(want: np.ndarray, which: np.ndarray, at: np.ndarray) -> np.ndarray | 
     """All of (L, 2) places turned, scaled and shifted as brings some of them nearest to `at`.
 
     Least squares over complex numbers: a turn and a scale are one factor. None where fewer than
-    LEAST_SEEN say it, or where they lie in one place.
+    LEAST_SEEN have it, or where they are in one place.
     """
     own, there = _complex(want[which]), _complex(at)
     if len(own) < LEAST_SEEN:

@@ -31,7 +31,7 @@ def locate_lights_command(
     allow_unsure: bool = typer.Option(
         False,
         "--allow-unsure",
-        help="Give wires that are not sure to the lamps that are left, in order, and say so.",
+        help="Give wires that are not sure to the lamps that are left, in order, and warn of it.",
     ),
     config: Path | None = typer.Option(
         None, "--config", help="TOML, as `calibrate`'s: [lights.mirror] is used."

@@ -31,7 +31,7 @@ class Located:
         sure: how many lights were found.
         moved: how many have another channel than before.
         unsure: what is not sure of the others, in words.
-        worst_mm: the farthest that a light's highlights lie off on the ball.
+        worst_mm: the farthest that a light's highlights are off on the ball.
     """
 
     rig: Rig
@@ -88,11 +88,10 @@ def locate_lights(
         raise ProcessingError(
             source.root,
             field="mirror",
-            found=f"{len(channels) - len(unsure)} of {counted(len(channels), 'light')} that could "
-            "be told",
+            found=f"{len(channels) - len(unsure)} of {counted(len(channels), 'light')} identified",
             expected="most of them",
-            hint="Is it the rig of this stage, the mirror ball in its middle, its radius the one "
-            "told ([lights.mirror] radius_mm), and are the cameras where the rig has them?",
+            hint="Is it this stage's rig, is the mirror ball in its middle, is its radius right "
+            "([lights.mirror] radius_mm), and are the cameras where the rig has them?",
         )
     if unsure and not allow_unsure:
         more = f"; and {len(unsure) - SHOWN} more" if len(unsure) > SHOWN else ""
@@ -103,16 +102,16 @@ def locate_lights(
             f"{'; '.join(unsure[:SHOWN])}{more}",
             expected="each at one lamp",
             hint="Take the shots again from more cameras or nearer, with lamps that all shine; or "
-            "give --allow-unsure, and look at those with `lightstage lights identify`.",
+            "give --allow-unsure, and inspect those with `lightstage lights identify`.",
         )
     wire_of = _completed(wiring.lamp)
-    found = rig.rewired([channels[wire] for wire in wire_of])
+    found = rig.readdressed([shot.addresses[wire] for wire in wire_of])
     pairs = zip(rig.addresses, found.addresses, strict=True)
     sure = wiring.lamp >= 0
     return Located(
         found,
         int(sure.sum()),
-        sum(was.channel != now.channel for was, now in pairs),
+        sum(was != now for was, now in pairs),
         unsure,
         float(wiring.off_mm[sure].max()),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from learning.detail.height import Steps, heights_mm, solve
 from learning.errors import MapsError
 from learning.render.uv import rasterise
 from lightstage.formats.exr import read_exr, write_exr
-from lightstage.formats.mesh import Mesh, read_obj, vertex_normals
+from lightstage.formats.mesh import Mesh, read_obj, vertex_normals, write_obj
 from lightstage.formats.processed import ProcessedFolder
 from tests.learning.conftest import RADIUS_MM, ball
 from tests.learning.export.called import run
@@ -239,3 +240,43 @@ def test_maps_without_finer_normals_are_refused(
     write_exr(folder / "atlas" / "specular_normal.exr", normal)
     assert run(monkeypatch, "detail", folder, "--out", tmp_path / "D") == 2
     assert "the mesh's own normals" in capsys.readouterr().err
+
+
+def without_uv(folder: ProcessedFolder) -> None:
+    mesh = read_obj(folder.registered_mesh)
+    write_obj(Mesh(mesh.vertices, mesh.faces), folder.registered_mesh)
+
+
+def with_nan(folder: ProcessedFolder) -> None:
+    normal = folder.read_atlas("specular_normal")
+    normal[3, 3] = np.nan
+    write_exr(folder.atlas_path("specular_normal"), normal)
+
+
+def without_normals(folder: ProcessedFolder) -> None:
+    folder.atlas_path("specular_normal").unlink()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "word"),
+    [
+        (without_uv, "uv: found none"),
+        (with_nan, "specular_normal.exr"),
+        (without_normals, "specular_normal.exr"),
+    ],
+)
+def test_bad_maps_and_meshes_are_refused_and_nothing_is_written(
+    bumpy: ProcessedFolder,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    spoil: Callable[[ProcessedFolder], None],
+    word: str,
+) -> None:
+    folder = ProcessedFolder(shutil.copytree(bumpy.root, tmp_path / "copy"))
+    spoil(folder)
+    assert run(monkeypatch, "detail", folder.root, "--out", tmp_path / "D") == 2
+    err = capsys.readouterr().err
+    assert word in err
+    assert "Traceback" not in err
+    assert not (tmp_path / "D").exists()

@@ -20,6 +20,8 @@ from learning.evaluation.measures import (
 )
 from learning.evaluation.people import by_tone, interval, spread
 from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.files import write_json
+from lightstage.formats.mesh import read_obj, write_obj
 from lightstage.formats.processed import ProcessedFolder
 from processing.tones import ita_deg, tone_of
 from tests.learning.evaluation.called import Ended, brightened
@@ -48,6 +50,45 @@ def test_a_person_against_themselves_has_no_error_and_a_factor_is_told_apart(
     assert written["data"] == "simulated"
     assert written["figures"]["albedo_psnr_db"]["low"] is None  # one person has no interval
     assert "simulated truth, 1 person" in out.with_suffix(".md").read_text()
+
+
+def turned(person: ProcessedFolder, root: Path) -> ProcessedFolder:
+    """The same head in other axes: the chin to the left, turned about two axes, and elsewhere."""
+    shutil.copytree(person.root, root)
+    folder = ProcessedFolder(root)
+    a, b = 0.9, 0.4
+    about_z = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
+    turn, shift = about_z @ about_x, np.array([30.0, -400.0, 7.0])
+    mesh = read_obj(folder.registered_mesh)
+    write_obj(mesh.with_vertices(mesh.vertices @ turn.T + shift), folder.registered_mesh)
+    for name in ("diffuse_normal", "specular_normal"):
+        folder.write_atlas(name, folder.read_atlas(name) @ turn.T)
+    pose = np.column_stack([turn.T, -turn.T @ shift])
+    write_json(folder.head_pose, {"head_from_world": pose.tolist()})
+    return folder
+
+
+def test_a_head_in_any_axes_is_held_against_the_truth_in_the_heads_own_and_lit_there(
+    people: list[ProcessedFolder], tmp_path: Path, evaluate: Callable[..., Ended]
+) -> None:
+    person = people[0]
+    rolled = turned(person, tmp_path / "rolled")
+    mine = brightened(person, tmp_path / "mine", np.linspace(0.5, 1, 96)[:, None, None])
+    straight = evaluate(mine, "--truth", person.root).facts["figures"]
+    # Maps of a fit are in the head frame; maps without a folder's pose in the axes of its mesh.
+    fit = tmp_path / "avatar" / "fit"
+    shutil.copytree(mine, fit / "atlas")
+    (fit / "fit.json").write_text("{}")
+    same_axes = brightened(rolled, tmp_path / "same axes", np.linspace(0.5, 1, 96)[:, None, None])
+    for folder in (tmp_path / "avatar", fit, same_axes):
+        other = evaluate(folder, "--truth", rolled.root).facts["figures"]
+        for light in ("key", "split", "rim"):
+            name = f"relit_{light}_db"
+            assert other[name]["mean"] == pytest.approx(straight[name]["mean"], abs=0.05)
+        assert other["specular_normal_mean_deg"]["mean"] < 0.1
+    lit = [straight[f"relit_{light}_db"]["mean"] for light in ("key", "split", "rim")]
+    assert max(lit) - min(lit) > 1  # another light would be noticed
 
 
 def test_photographs_of_one_person_are_held_against_each_other(
@@ -79,6 +120,12 @@ def test_what_is_no_pair_is_refused(
     done = evaluate(other, "--truth", a)
     assert (done.code, "template's layout" in done.err) == (2, True)
     assert evaluate(a, "--truth", a, "--data", "real").code == 2
+    spoiled = brightened(people[0], tmp_path / "spoiled", np.nan)
+    for words in ((spoiled, "--truth", a), (a, "--truth", spoiled)):
+        done = evaluate(*words, "--out", tmp_path / "figures.json")
+        assert (done.code, "diffuse_albedo.exr" in done.err) == (2, True)
+    assert evaluate(a, "--truth", tmp_path / "absent").code == 2
+    assert not list(tmp_path.glob("figures*"))
 
 
 def test_structural_similarity_is_that_of_a_plain_loop() -> None:

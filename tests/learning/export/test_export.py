@@ -17,7 +17,7 @@ import pytest
 import trimesh
 
 from learning.export.encode import SPECULAR_WHITE
-from learning.export.morphs import ARKIT, arkit_name
+from learning.export.morphs import ARKIT, arkit_name, arkit_targets
 from learning.export.source import read_source
 from learning.render.dielectric import F0
 from lightstage.formats.exr import read_exr
@@ -25,7 +25,13 @@ from lightstage.formats.files import write_json
 from lightstage.formats.mesh import read_mesh, read_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.srgb import linear_from_srgb
-from lightstage.formats.template import Modes, Template, save_template
+from lightstage.formats.template import (
+    Modes,
+    Template,
+    default_template_path,
+    load_template,
+    save_template,
+)
 from tests.learning.export.called import copied, run
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -272,8 +278,37 @@ def test_expressions_have_arkits_names_or_none() -> None:
     assert arkit_name("jawOpen") == arkit_name("jaw_open") == "jawOpen"
     assert arkit_name("browInnerUp_L") == arkit_name("browInnerUp_R") == "browInnerUp"
     assert arkit_name("jawLeft") == "jawLeft"
-    assert arkit_name("smile") is None
+    assert arkit_name("surprise") is None
     assert arkit_name("PupilDilate_L") is None
+
+
+def test_our_own_templates_expressions_are_arkits_and_add_up_to_themselves() -> None:
+    template = load_template(default_template_path())
+    assert template.modes is not None
+    x_mm = template.mesh.vertices[:, 0]
+    names: list[str] = []
+    for own, offsets in zip(
+        template.modes.expression_names, template.modes.expression, strict=True
+    ):
+        parts = arkit_targets(own, np.asarray(offsets, float), x_mm)
+        np.testing.assert_allclose(sum(parts.values()), offsets, atol=1e-6)
+        names += parts
+        for name, part in parts.items():
+            moved = np.linalg.norm(part, axis=1)
+            side = (moved * np.sign(x_mm)).sum() / moved.sum()
+            expected = 1 if name.endswith("Left") else -1 if name.endswith("Right") else 0
+            assert side == pytest.approx(expected, abs=0.15), name
+    assert set(names) <= set(ARKIT)
+    assert len(names) == len(set(names)) == 11
+
+
+def test_icts_model_has_all_of_arkits_expressions_but_the_tongue(head_data: Path) -> None:
+    with np.load(head_data / "ict_facekit" / "ict_facekit_modes.npz") as file:
+        own = [str(name) for name in file["expression_names"]]
+    named = {name for each in own for name in arkit_targets(each, np.zeros((1, 3)), np.zeros(1))}
+    assert set(ARKIT) - named == {"tongueOut"}
+    lacking = [each for each in own if arkit_name(each) is None]
+    assert {each[:-2] for each in lacking} == {"PupilDilate", "cheekRaiser"}
 
 
 def test_a_templates_expressions_are_morph_targets_in_metres_and_in_the_meshs_axes(

@@ -28,6 +28,10 @@ def with_nan(folder: ProcessedFolder) -> None:
     write_exr(folder.atlas_path("diffuse_albedo"), image)
 
 
+def with_grey_normals(folder: ProcessedFolder) -> None:
+    write_exr(folder.atlas_path("specular_normal"), folder.read_atlas("specular_albedo"))
+
+
 def negative(folder: ProcessedFolder) -> None:
     folder.write_atlas("specular_albedo", -folder.read_atlas("specular_albedo"))
 
@@ -63,6 +67,7 @@ def without_mesh(folder: ProcessedFolder) -> None:
         (without_a_map, "specular_albedo.exr"),
         (of_another_size, "expected 96 x 64, as diffuse_albedo"),
         (with_nan, "diffuse_albedo.exr"),
+        (with_grey_normals, "expected 3, as a map of this name has"),
         (negative, "negative"),
         (of_another_head, "position.exr"),
         (in_other_axes, "maps of the mesh's own template, in its axes"),
@@ -87,6 +92,36 @@ def test_bad_input_is_one_message_that_names_it_and_nothing_is_written(
     assert said in err
     assert "Traceback" not in err
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_comparison_with_maps_of_another_size_or_mesh_is_refused(
+    person: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = copied(person, tmp_path)
+    words = ("--format", "page", "--compare", folder.root, "--out", tmp_path / "out")
+    of_another_head(folder)
+    mesh = read_obj(folder.registered_mesh)
+    folder.write_atlas("position", folder.read_atlas("position") + np.float32(30))
+    write_obj(mesh, folder.registered_mesh)
+    assert run(monkeypatch, "export", person, *words) == 2
+    assert "position.exr" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_out_that_is_a_file_is_refused_and_stays(
+    person: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "out"
+    out.write_text("mine")
+    assert run(monkeypatch, "export", person, "--out", out) == 2
+    assert str(out) in capsys.readouterr().err
+    assert out.read_text() == "mine"
 
 
 def test_a_place_that_is_taken_and_a_format_that_is_unknown_are_refused(

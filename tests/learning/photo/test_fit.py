@@ -20,7 +20,8 @@ from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import write_json
 from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.mesh import read_obj
-from lightstage.formats.template import Template, default_template_path
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.template import Template, default_template_path, save_template
 from tests.learning.export.called import run
 from tests.learning.photo.scene import FOCAL_PX, HEIGHT_PX, KEY, Shot
 from tests.programs import run_program
@@ -225,6 +226,67 @@ def test_bad_input_is_refused_in_words_that_name_it(shot: Shot, tmp_path: Path) 
     )
     assert "no person one.png" in refused(shot, out, "--landmarks", empty)
     assert "rows" in refused(shot, out, "--rows", "200")
+
+
+def test_a_captured_heads_maps_are_an_avatar_without_a_fit(
+    people: list[ProcessedFolder],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    root = shutil.copytree(people[0].root, tmp_path / "captured")
+    captured = ProcessedFolder(root)
+    normal = captured.read_atlas("specular_normal")
+    waves = 0.2 * np.sin(np.arange(len(normal)) * 1.3)[:, None, None] * (normal != 0)
+    captured.write_atlas("specular_normal", normal + waves)
+    mesh = read_obj(captured.registered_mesh)
+    template = save_template(
+        Template("ball", mesh, np.arange(68), {}, "CC0", "test", None), tmp_path / "T"
+    )
+    out = tmp_path / "A"
+    line = ["avatar", "--maps", root, "--template", template, "--out", out, "--format", "gltf"]
+
+    def facts(*more: str | Path) -> dict[str, Any]:
+        assert run(monkeypatch, *line, *more, "--json") == 0
+        found: dict[str, Any] = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+        return found
+
+    first = facts()
+    assert first["parts"] == ["detail", "export"]
+    assert (first["rows"], first["skipped"]) == (normal.shape[0], [])
+    assert (out / "export" / "head.glb").stat().st_size > 1000
+    assert read_exr(out / "detail" / "displacement.exr").shape == normal.shape[:2]
+    assert "the captured head captured" in (out / "avatar.html").read_text()
+    assert facts()["skipped"] == ["detail", "export"]
+    captured.write_atlas("diffuse_albedo", 0.5 * captured.read_atlas("diffuse_albedo"))
+    assert facts()["skipped"] == []
+    for words, said in (
+        ([*line, captured.registered_mesh], "found both"),
+        ([word for word in line if word not in ("--maps", root)], "found neither"),
+        ([*line, "--until", "fit"], "detail or export"),
+    ):
+        assert run(monkeypatch, *words) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_an_avatar_refuses_before_it_writes_anything(shot: Shot, tmp_path: Path) -> None:
+    out = tmp_path / "A"
+
+    def avatar(*more: str | Path, photo: Path = shot.path) -> str:
+        words = ("avatar", photo, "--template", default_template_path(), "--out", out)
+        code, told = called(*words, *more)
+        assert code == 2
+        return str(told["error"])
+
+    assert "a folder" in avatar(photo=tmp_path)
+    assert "--until" in avatar("--until", "page")
+    assert "--format" in avatar("--format", "fbx")
+    assert "rows" in avatar("--rows", "200")
+    assert not out.exists()
+    out.mkdir()
+    (out / "thesis.txt").write_text("mine")
+    assert "thesis.txt" in avatar()
+    assert [path.name for path in out.iterdir()] == ["thesis.txt"]
 
 
 def test_a_wall_holds_no_face(shot: Shot, tmp_path: Path) -> None:

@@ -31,8 +31,8 @@ def small_stage() -> Rig:
     return Rig(rig.lights, rig.cameras[:3])
 
 
-def told_by(rig: Rig) -> dict[str, Summary]:
-    """What its cameras tell."""
+def summaries_by(rig: Rig) -> dict[str, Summary]:
+    """What its cameras report."""
     return {
         camera.id: Summary(
             serial=camera.serial,
@@ -101,15 +101,15 @@ class Taker:
 
 @dataclasses.dataclass
 class Holder:
-    """Holds each pose as it is asked for, and answers as it was told to.
+    """Holds each pose as it is asked for, and answers as it was ordered to.
 
     Attributes:
         photographer: whose pose it sets.
         verdicts: answers about poses that do not do, in order.
         stop_at: the pose before which it stops, from 1.
         asked: what it was asked to do.
-        findings: what it was told is amiss.
-        left: how many takes more, as it was told each time.
+        findings: what it was shown as amiss.
+        left: how many takes more, as it was shown each time.
     """
 
     photographer: TargetPhotographer
@@ -136,11 +136,11 @@ class Holder:
 
 @pytest.fixture(scope="session")
 def bench():
-    """LEDS, NOW, told_by, Taker and Holder, for tests that cannot import this file."""
+    """LEDS, NOW, summaries_by, Taker and Holder, for tests that cannot import this file."""
 
     class Bench:
         leds, now = LEDS, NOW
-        told = staticmethod(told_by)
+        summaries = staticmethod(summaries_by)
         taker, holder = Taker, Holder
         dark = np.zeros(168)
 

@@ -132,9 +132,9 @@ def test_a_file_that_is_no_raw_is_refused_with_its_name(tmp_path):
         b"II*\0 and nothing more": "is truncated",
         b"\xff\xd8\xff\xe0 a JPEG": "a JPEG",
     }
-    for data, said in cases.items():
+    for data, message in cases.items():
         path.write_bytes(data)
-        with pytest.raises(FormatError, match=rf"cam0\.dng: found .*{said}"):
+        with pytest.raises(FormatError, match=rf"cam0\.dng: found .*{message}"):
             read_picture(path)
 
 

@@ -31,8 +31,8 @@ def lab(bench, stage, tmp_path_factory):
     """The stage's shots of boards."""
     lab = tmp_path_factory.mktemp("lab")
     photographer = TargetPhotographer(stage, "charuco", 1)
-    told = bench.told(stage)
-    shots = begin_shots(KINDS["charuco"], lab, stage, told, bench.leds, CONFIG, bench.now)
+    summaries = bench.summaries(stage)
+    shots = begin_shots(KINDS["charuco"], lab, stage, summaries, bench.leds, CONFIG, bench.now)
     taker, holder = bench.taker(photographer), bench.holder(photographer)
     take_poses(KINDS["charuco"], shots, stage, taker, holder, CONFIG)
     return lab
@@ -42,13 +42,13 @@ def test_a_rig_measured_from_a_labs_boards_is_accepted_with_them_and_refused_wit
     bench, stage, lab, tmp_path
 ):
     out = tmp_path / "cameras"
-    said = CliRunner().invoke(app, ["calibrate-cameras", str(lab), "--out", str(out)])
-    assert said.exit_code == 0, said.output
+    message = CliRunner().invoke(app, ["calibrate-cameras", str(lab), "--out", str(out)])
+    assert message.exit_code == 0, message.output
     measured = load_rig(out / "rig.json")
     assert rig_sha256(measured) != rig_sha256(stage)
 
     def found(rig, lab):
-        return use_calibrations(lab, rig, bench.told(rig), bench.leds, (), CONFIG, bench.now)
+        return use_calibrations(lab, rig, bench.summaries(rig), bench.leds, (), CONFIG, bench.now)
 
     assert found(measured, lab).findings == []
     # Another stage, one of whose lamps stands elsewhere, with shots of its own.

@@ -9,7 +9,7 @@ from lightstage.calibrations.assistant import TerminalAssistant, UnattendedAssis
 from lightstage.calibrations.config import KIND_NAMES, CalibrationConfig
 from lightstage.calibrations.folder import latest, newest_unfinished
 from lightstage.calibrations.kinds import KINDS
-from lightstage.calibrations.reasons import told_together
+from lightstage.calibrations.reasons import joined
 from lightstage.calibrations.run import begin_shots, resume_shots, take_poses
 from lightstage.errors import CaptureError, ConfigError, FormatError
 from lightstage.findings import Finding
@@ -27,9 +27,16 @@ def begin(bench, small_stage, tmp_path):
     """Begins shots of a kind in tmp_path/lab."""
 
     def begun(kind, **more):
-        told = bench.told(small_stage)
+        summaries = bench.summaries(small_stage)
         return begin_shots(
-            KINDS[kind], tmp_path / "lab", small_stage, told, bench.leds, CONFIG, bench.now, **more
+            KINDS[kind],
+            tmp_path / "lab",
+            small_stage,
+            summaries,
+            bench.leds,
+            CONFIG,
+            bench.now,
+            **more,
         )
 
     return begun
@@ -37,10 +44,11 @@ def begin(bench, small_stage, tmp_path):
 
 def test_a_first_pose_speaks_of_none_before_it(small_stage):
     for kind in KINDS.values():
-        assert "before." not in kind.asks(small_stage, 0)
-        assert "than before" not in kind.asks(small_stage, 0)
-    assert "on another spot than before" in KINDS["mirror"].asks(small_stage, 1)
-    assert "tilted another way than before, and keep" in KINDS["charuco"].asks(small_stage, 1)
+        assert "before." not in kind.instruction(small_stage, 0)
+        assert "than before" not in kind.instruction(small_stage, 0)
+    assert "on another spot than before" in KINDS["mirror"].instruction(small_stage, 1)
+    tilted = KINDS["charuco"].instruction(small_stage, 1)
+    assert "tilted another way than before, and keep" in tilted
 
 
 @pytest.mark.parametrize("kind", KIND_NAMES)
@@ -140,7 +148,7 @@ def test_stopped_shots_count_for_nothing_and_go_on_where_they_stopped(
     with pytest.raises(CaptureError, match=r"stopped after 2 of 3 poses"):
         take_poses(kind, begin("chart"), small_stage, bench.taker(photographer), holder, CONFIG)
     assert latest(lab, "chart") is None
-    shots = resume_shots(kind, lab, small_stage, bench.told(small_stage), bench.leds)
+    shots = resume_shots(kind, lab, small_stage, bench.summaries(small_stage), bench.leds)
     taker = bench.taker(photographer)
     report = take_poses(kind, shots, small_stage, taker, bench.holder(photographer), CONFIG)
     assert taker.taken == ["pose-03"]
@@ -158,18 +166,18 @@ def test_a_capture_that_fails_in_a_pose_goes_on_in_the_same_folder(
     taker = bench.taker(photographer, fail={"pose-02"})
     with pytest.raises(CaptureError, match="a cable that was pulled"):
         take_poses(kind, begin("chart"), small_stage, taker, bench.holder(photographer), CONFIG)
-    told = bench.told(small_stage)
-    shots = resume_shots(kind, tmp_path / "lab", small_stage, told, bench.leds)
+    summaries = bench.summaries(small_stage)
+    shots = resume_shots(kind, tmp_path / "lab", small_stage, summaries, bench.leds)
     take_poses(kind, shots, small_stage, taker, bench.holder(photographer), CONFIG)
     assert taker.taken == ["pose-01", "pose-02", "pose-02", "pose-03"]
 
 
 def test_shots_do_not_go_on_with_another_lens_setting(bench, begin, small_stage, tmp_path):
     begin("chart")
-    told = bench.told(small_stage)
-    told["cam1"] = dataclasses.replace(told["cam1"], aperture="f/11")
+    summaries = bench.summaries(small_stage)
+    summaries["cam1"] = dataclasses.replace(summaries["cam1"], aperture="f/11")
     with pytest.raises(CaptureError, match=r"cam1 with aperture f/11, expected aperture f/8"):
-        resume_shots(KINDS["chart"], tmp_path / "lab", small_stage, told, bench.leds)
+        resume_shots(KINDS["chart"], tmp_path / "lab", small_stage, summaries, bench.leds)
 
 
 def test_a_damaged_calibration_file_is_refused_field_by_field(begin):
@@ -233,36 +241,36 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_a_configuration_without_sense_is_refused(name):
-    values, said = BAD[name]
+    values, message = BAD[name]
     with pytest.raises(ConfigError) as error:
         make_config(CalibrationConfig, values, "lab.toml")
-    assert said in str(error.value)
+    assert message in str(error.value)
 
 
 def test_the_terminal_asks_until_it_understands_and_stops_where_nobody_is():
-    said, answers = [], iter(["what?", "", "K", "x", " q "])
-    asks = TerminalAssistant(said.append, lambda _: next(answers))
+    lines, answers = [], iter(["what?", "", "K", "x", " q "])
+    asks = TerminalAssistant(lines.append, lambda _: next(answers))
     assert asks.ready(2, 5, "Hold it.") is True
-    assert said == ["Pose 2 of 5: Hold it."]
+    assert lines == ["Pose 2 of 5: Hold it."]
     finding = Finding("retake", "clipped", "chart, pose 2, cam0", "much", "little", "Less.")
     assert asks.judge(2, [finding], 3) == "keep"
-    assert said[-1] == "  chart, pose 2, cam0: found much, expected little. Less."
+    assert lines[-1] == "  chart, pose 2, cam0: found much, expected little. Less."
     assert asks.ready(3, 5, "Hold it.") is False
 
     def nobody(_):
         raise EOFError
 
-    asks = TerminalAssistant(said.append, nobody)
+    asks = TerminalAssistant(lines.append, nobody)
     assert asks.ready(1, 5, "Hold it.") is False
     assert asks.judge(1, [finding], 3) == "stop"
 
 
 def test_unattended_waits_before_each_pose_and_gives_up_after_its_retakes():
-    said, slept = [], []
-    nobody = UnattendedAssistant(said.append, 3.0, 2, slept.append)
+    lines, slept = [], []
+    nobody = UnattendedAssistant(lines.append, 3.0, 2, slept.append)
     assert nobody.ready(1, 2, "Cap it.")
     assert slept == [3.0]
-    assert said == ["Pose 1 of 2 in 3 s: Cap it."]
+    assert lines == ["Pose 1 of 2 in 3 s: Cap it."]
     assert [nobody.judge(1, [], 3) for _ in range(3)] == ["again", "again", "stop"]
     assert nobody.judge(2, [], 1) == "again"
     assert nobody.judge(3, [], 0) == "stop"
@@ -289,7 +297,7 @@ def test_what_takes_showed_is_said_once_with_its_takes():
 
     takes = [[board("cam1", "9 corners")], [board("cam1", "8 corners")], []]
     takes[2] = [*takes[0], board("cam2", "none")]
-    assert told_together(takes) == (
+    assert joined(takes) == (
         "cam1: 9 corners (takes 1, 3), 8 corners (take 2); cam2: none (take 3)",
         "28",
         "Turn it.",
@@ -297,13 +305,13 @@ def test_what_takes_showed_is_said_once_with_its_takes():
 
 
 def test_the_last_take_is_kept_or_stops():
-    said, asked = [], []
+    lines, asked = [], []
 
     def ask(question):
         asked.append(question)
         return ""
 
-    assert TerminalAssistant(said.append, ask).judge(2, [], 0) == "stop"
+    assert TerminalAssistant(lines.append, ask).judge(2, [], 0) == "stop"
     assert asked == ["Pose 2: this was its last take. k keeps it, Enter or q stops: "]
-    assert TerminalAssistant(said.append, ask).judge(2, [], 2) == "again"
+    assert TerminalAssistant(lines.append, ask).judge(2, [], 2) == "again"
     assert "at most 2 more" in asked[1]

@@ -41,7 +41,7 @@ def add(bench, lab, rig, kind, created=None, finished=True):
         finished_utc=created.isoformat() if finished else None,
         expires_utc=(created + days * DAY).isoformat(),
         rig_sha256=rig_sha256(rig),
-        devices=devices(bench.told(rig), bench.leds),
+        devices=devices(bench.summaries(rig), bench.leds),
         patterns=list(KINDS[kind].patterns),
         poses_wanted=1,
     )
@@ -61,14 +61,15 @@ def add(bench, lab, rig, kind, created=None, finished=True):
 
 
 def found(bench, lab, rig, **changed):
-    told = changed.get("told", bench.told(rig))
+    summaries = changed.get("told", bench.summaries(rig))
     leds = changed.get("leds", bench.leds)
-    return stale(lab, rig, told, leds, changed.get("now", bench.now), CONFIG)
+    return stale(lab, rig, summaries, leds, changed.get("now", bench.now), CONFIG)
 
 
 def test_fresh_shots_are_recorded_with_id_place_hash_and_age(bench, lab, small_stage):
     now = bench.now + 2.5 * DAY
-    used = use_calibrations(lab, small_stage, bench.told(small_stage), bench.leds, (), CONFIG, now)
+    summaries = bench.summaries(small_stage)
+    used = use_calibrations(lab, small_stage, summaries, bench.leds, (), CONFIG, now)
     assert used.findings == []
     assert list(used.facts) == ["charuco", "chart", "dark"]
     fact = used.facts["chart"]
@@ -89,7 +90,7 @@ def test_a_missing_kind_is_refused_by_name_with_the_way_out(bench, small_stage, 
     assert (finding.severity, finding.code) == ("refuse", "calibration-missing")
     assert str(finding) == (
         f"calibration chart: found no finished shots in {lab}, expected some. Take them again "
-        "(lightstage calibrate chart), or go on without the cameras' colours "
+        "(lightstage calibrate chart), or continue without the cameras' colours "
         "(--allow-stale chart)."
     )
 
@@ -110,8 +111,8 @@ def test_the_newest_finished_shots_count(bench, lab, small_stage):
     add(bench, lab, small_stage, "dark", later + DAY, finished=False)
     now = bench.now + 8 * DAY
     assert found(bench, lab, small_stage, now=now) == []
-    told = bench.told(small_stage)
-    used = use_calibrations(lab, small_stage, told, bench.leds, (), CONFIG, now)
+    summaries = bench.summaries(small_stage)
+    used = use_calibrations(lab, small_stage, summaries, bench.leds, (), CONFIG, now)
     assert used.facts["dark"]["age_days"] == 2.0
 
 
@@ -128,43 +129,43 @@ CHANGES = {
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_changed_camera_ends_what_rests_on_that_setting_at_once(bench, lab, small_stage, name):
     value, kinds, code = CHANGES[name]
-    told = bench.told(small_stage)
-    told["cam1"] = dataclasses.replace(told["cam1"], **{name: value})
-    findings = found(bench, lab, small_stage, told=told)
+    summaries = bench.summaries(small_stage)
+    summaries["cam1"] = dataclasses.replace(summaries["cam1"], **{name: value})
+    findings = found(bench, lab, small_stage, told=summaries)
     assert {f.where.split()[1] for f in findings} == kinds
     assert {f.code for f in findings} == ({code} if code else set())
     for finding in findings:
-        assert f"cam1 with {name} {value or 'not told'}" in finding.found
+        assert f"cam1 with {name} {value or 'not known'}" in finding.found
 
 
 def test_what_is_other_of_many_cameras_is_one_line_a_kind(bench, lab, small_stage):
-    few = bench.told(small_stage)
+    few = bench.summaries(small_stage)
     for count, named in ((2, "cam0, cam1"), (9, "all 9 cameras"), (8, "8 cameras")):
-        told = {f"cam{index}": few["cam0"] for index in range(9)}
+        values = {f"cam{index}": few["cam0"] for index in range(9)}
         for shots in lab.glob("*/calibration.json"):
             value = json.loads(shots.read_text())
             one = value["devices"]["cameras"]["cam0"]
-            value["devices"]["cameras"] = dict.fromkeys(told, one)
+            value["devices"]["cameras"] = dict.fromkeys(values, one)
             shots.write_text(json.dumps(value))
         for index in range(count):
-            told[f"cam{index}"] = dataclasses.replace(few["cam0"], iso="200", aperture="f/11")
-        [board, chart, dark] = found(bench, lab, small_stage, told=told)
+            values[f"cam{index}"] = dataclasses.replace(few["cam0"], iso="200", aperture="f/11")
+        [board, chart, dark] = found(bench, lab, small_stage, told=values)
         assert board.found == f"{named} with aperture f/11, since charuco-20260301T120000Z"
         assert chart.found.startswith(f"{named} with iso 200; {named} with aperture f/11, since")
         assert chart.expected == "iso 100; aperture f/8"
         assert (dark.code, dark.expected) == ("setting-changed", "iso 100")
-    told = {
+    values = {
         f"cam{index}": dataclasses.replace(few["cam0"], serial=str(index)) for index in range(9)
     }
-    [board, *_] = found(bench, lab, small_stage, told=told)
+    [board, *_] = found(bench, lab, small_stage, told=values)
     assert board.found.startswith("all 9 cameras with another serial, since")
 
 
 def test_all_reasons_of_a_kind_are_one_line(bench, lab, small_stage):
-    told = bench.told(small_stage)
-    told["cam1"] = dataclasses.replace(told["cam1"], iso="400")
+    summaries = bench.summaries(small_stage)
+    summaries["cam1"] = dataclasses.replace(summaries["cam1"], iso="400")
     now = bench.now + 8 * DAY
-    [chart, dark] = found(bench, lab, small_stage, told=told, now=now)
+    [chart, dark] = found(bench, lab, small_stage, told=summaries, now=now)
     assert (chart.code, dark.code) == ("setting-changed", "calibration-stale")
     assert dark.found == (
         "dark-20260301T120000Z, 8 days old; cam1 with iso 400, since dark-20260301T120000Z"
@@ -185,9 +186,9 @@ def test_another_rig_ends_all_and_another_led_firmware_what_shows_its_light(
 
 
 def test_a_camera_that_was_not_there_then_is_told(bench, lab, small_stage):
-    told = bench.told(small_stage)
-    told["cam9"] = told["cam0"]
-    findings = found(bench, lab, small_stage, told=told)
+    summaries = bench.summaries(small_stage)
+    summaries["cam9"] = summaries["cam0"]
+    findings = found(bench, lab, small_stage, told=summaries)
     assert {f.code for f in findings} == {"camera-new"}
     assert "no photographs of cam9" in findings[0].found
 
@@ -203,14 +204,14 @@ def test_shots_from_the_future_are_said_and_never_trusted(bench, lab, small_stag
 
 def test_what_is_allowed_becomes_a_warning_and_is_recorded(bench, lab, small_stage):
     now = bench.now + 10 * DAY
-    told = bench.told(small_stage)
-    used = use_calibrations(lab, small_stage, told, bench.leds, ("dark",), CONFIG, now)
+    summaries = bench.summaries(small_stage)
+    used = use_calibrations(lab, small_stage, summaries, bench.leds, ("dark",), CONFIG, now)
     [finding] = used.findings
     assert finding.severity == "warn"
     assert "black and hot pixels may be wrong in this session" in finding.hint
     assert used.facts["dark"]["stale"] == ["dark-20260301T120000Z, 10 days old"]
     with pytest.raises(ConfigError, match="--allow-stale: found 'drak', expected one of charuco"):
-        use_calibrations(lab, small_stage, told, bench.leds, ("drak",), CONFIG, now)
+        use_calibrations(lab, small_stage, summaries, bench.leds, ("drak",), CONFIG, now)
 
 
 def test_what_was_changed_or_lost_since_is_told(bench, lab, small_stage):
@@ -245,7 +246,8 @@ def test_age_alone_decides_by_its_sign_and_the_days(
     shots.save()
     now = bench.now + datetime.timedelta(days=age)
     codes = [
-        f.code for f in stale(lab, small_stage, bench.told(small_stage), bench.leds, now, config)
+        f.code
+        for f in stale(lab, small_stage, bench.summaries(small_stage), bench.leds, now, config)
     ]
     if age < -config.clock_slack_s / 86400:
         assert codes == ["clock-backward"]
@@ -290,9 +292,9 @@ def test_a_lab_is_listed_in_plain_words(bench, lab, small_stage):
     (lab / "broken").mkdir()
     (lab / "broken" / "calibration.json").write_text("[]")
     entries, damaged = list_lab(lab, bench.now + 8 * DAY, CONFIG)
-    said = [(e.kind, e.folder[-17:], e.state, e.says) for e in entries]
+    text = [(e.kind, e.folder[-17:], e.state, e.says) for e in entries]
     day = "-20260301T120000Z"
-    assert said == [
+    assert text == [
         ("charuco", day, "holds", "8 days old, holds 22 days more"),
         ("mirror", "", "missing", "none yet"),
         ("grey", "", "missing", "none yet"),
@@ -301,7 +303,7 @@ def test_a_lab_is_listed_in_plain_words(bench, lab, small_stage):
             "-20260302T120000Z",
             "unfinished",
             "1 of 1 pose, begun 7 days ago; calibrate chart with --resume and its other options "
-            "goes on",
+            "resumes them",
         ),
         ("chart", day, "holds", "8 days old, holds 6 days more"),
         ("dark", day, "expired", "8 days old, expired 24 hours ago"),

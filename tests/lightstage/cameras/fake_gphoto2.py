@@ -263,8 +263,10 @@ class Camera:
     def file_get_info(self, folder, name):
         self._answer("file_get_info")
         path = self._file(folder, name)
-        told = path.stat()
-        return SimpleNamespace(file=SimpleNamespace(size=told.st_size, mtime=int(told.st_mtime)))
+        stated = path.stat()
+        return SimpleNamespace(
+            file=SimpleNamespace(size=stated.st_size, mtime=int(stated.st_mtime))
+        )
 
     def file_get(self, folder, name, _):
         self._answer("file_get")

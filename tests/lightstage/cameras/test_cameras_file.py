@@ -34,7 +34,7 @@ def test_a_cameras_file_names_the_driver_that_takes_the_photographs(small_rig, t
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ('[cameras.cam0]\ndriver = "my.stage"', "driver: found 'my.stage', expected package.mod"),
         ('[cameras.cam0]\ndriver = "my stage:x"', "expected package.module:name"),
@@ -51,8 +51,8 @@ def test_a_cameras_file_names_the_driver_that_takes_the_photographs(small_rig, t
         ('expect = "100"', "expect: found '100', expected dict"),
     ],
 )
-def test_a_malformed_cameras_file_is_refused(tmp_path, text, said):
-    with pytest.raises(ConfigError, match=said):
+def test_a_malformed_cameras_file_is_refused(tmp_path, text, message):
+    with pytest.raises(ConfigError, match=message):
         read_cameras_file(written(tmp_path, text))
 
 

@@ -69,7 +69,7 @@ def test_a_camera_that_fails_on_the_way_leaves_no_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("number", "said"),
+    ("number", "message"),
     [
         (errno.ENOSPC, "No space left on device, expected room .*The disk is full"),
         (errno.EDQUOT, "Your share of the disk is used up"),
@@ -80,14 +80,14 @@ def test_a_camera_that_fails_on_the_way_leaves_no_file(tmp_path):
 )
 @pytest.mark.parametrize("call", ["open", "write", "fsync"])
 def test_a_disk_that_fails_is_told_in_plain_words_and_nothing_is_left(
-    tmp_path, monkeypatch, number, said, call
+    tmp_path, monkeypatch, number, message, call
 ):
     def fail(*_args, **_more):
         raise OSError(number, os.strerror(number))
 
     with monkeypatch.context() as patch:
         patch.setattr(os, call, fail)
-        with pytest.raises(CaptureError, match=f"x, write: found .*{said}"):
+        with pytest.raises(CaptureError, match=f"x, write: found .*{message}"):
             write_card_file(tmp_path / "x", 4, [b"data"])
     assert list(tmp_path.iterdir()) == []
 

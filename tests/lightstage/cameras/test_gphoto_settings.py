@@ -23,14 +23,19 @@ def opened():
 
 def test_a_nikon_tells_all_but_its_place(fake):
     fake.make_body("6001", settings={"datetime": int(time.time()) - 3600, "ownername": "Me"})
-    _, told = opened()
-    assert told.untold() == ["place"]
-    assert (told.serial, told.model, told.firmware) == ("6001", "Nikon DSC D750", "V1.12")
-    assert (told.mode, told.iso, told.shutter, told.aperture) == ("M", "100", "1/60", "f/8")
-    assert (told.image_format, told.focus) == ("NEF (Raw)", "Manual")
-    assert (told.battery_percent, told.card_free_bytes) == (75.0, 2_048_000_000)
-    assert (told.owner, told.artist, told.copyright) == ("Me", "", "")
-    assert told.clock_offset_s == pytest.approx(-3600, abs=10)
+    _, summary = opened()
+    assert summary.not_readable() == ["place"]
+    assert (summary.serial, summary.model, summary.firmware) == ("6001", "Nikon DSC D750", "V1.12")
+    assert (summary.mode, summary.iso, summary.shutter, summary.aperture) == (
+        "M",
+        "100",
+        "1/60",
+        "f/8",
+    )
+    assert (summary.image_format, summary.focus) == ("NEF (Raw)", "Manual")
+    assert (summary.battery_percent, summary.card_free_bytes) == (75.0, 2_048_000_000)
+    assert (summary.owner, summary.artist, summary.copyright) == ("Me", "", "")
+    assert summary.clock_offset_s == pytest.approx(-3600, abs=10)
 
 
 def test_a_canon_tells_the_same_under_its_own_names(fake):
@@ -44,11 +49,11 @@ def test_a_canon_tells_the_same_under_its_own_names(fake):
     }
     settings = dict.fromkeys(("expprogram", "shutterspeed2", "f-number", "imagequality"), "")
     fake.make_body("6001", settings=settings | canon)
-    _, told = opened()
-    assert told.serial == "022021001234"
-    assert (told.mode, told.aperture, told.shutter) == ("Manual", "8", "1/60")
-    assert told.image_format == "RAW + Large Fine JPEG"
-    assert told.owner == ""
+    _, summary = opened()
+    assert summary.serial == "022021001234"
+    assert (summary.mode, summary.aperture, summary.shutter) == ("Manual", "8", "1/60")
+    assert summary.image_format == "RAW + Large Fine JPEG"
+    assert summary.owner == ""
 
 
 def test_an_iso_that_the_camera_chooses_itself_does_not_look_like_the_one_that_is_set(fake):

@@ -62,13 +62,13 @@ def test_eight_cameras_give_their_photographs_whatever_becomes_of_the_ninth(came
                 return str(error)
             return "taken"
 
-        said = dict(zip(NAMES, pool.map(take, cameras), strict=True))
-    assert "cam2, trigger: found no answer within" in said.pop("cam2")
-    assert "cam4, trigger: found no answer within" in said.pop("cam4")
-    assert "cam7, trigger: found " in said.pop("cam7")
-    assert set(said.values()) == {"taken"}
+        text = dict(zip(NAMES, pool.map(take, cameras), strict=True))
+    assert "cam2, trigger: found no answer within" in text.pop("cam2")
+    assert "cam4, trigger: found no answer within" in text.pop("cam4")
+    assert "cam7, trigger: found " in text.pop("cam7")
+    assert set(text.values()) == {"taken"}
     assert {finished[-1], finished[-2]} == {"cam2", "cam4"}  # all others came before a deadline
-    for name in said:
+    for name in text:
         assert (tmp_path / name).read_bytes() == name.encode() * 1000
 
 
@@ -175,20 +175,20 @@ def test_ctrl_c_of_the_terminal_does_not_reach_the_camera_processes(camera):
 def test_closing_from_another_thread_ends_a_command_that_hangs(camera, monkeypatch):
     monkeypatch.setattr(child, "GRACE_S", 0.2)
     one = camera("Looping", deadlines=60.0)
-    said = []
+    lines = []
 
     def take():
         try:
             one.trigger(0.0)
         except DeviceError as error:
-            said.append(str(error))
+            lines.append(str(error))
 
     thread = threading.Thread(target=take)
     thread.start()
     one.close()
     thread.join(20)
     assert not thread.is_alive()
-    assert "camera cam0, trigger: " in said[0]
+    assert "camera cam0, trigger: " in lines[0]
     with pytest.raises(DeviceError, match="not open"):
         one.card()
 
@@ -204,13 +204,13 @@ def test_closing_a_driver_that_hangs_while_it_lets_go_kills_it(camera, gone, mon
 def test_a_restart_that_searches_ends_when_the_camera_is_closed(camera):
     one = camera(deadlines=Deadlines(absent_s=60.0))
     one.driver = "camera_drivers:NotThere"
-    said = []
+    lines = []
 
     def restart():
         try:
             one.restart()
         except DeviceError as error:
-            said.append(str(error))
+            lines.append(str(error))
 
     thread = threading.Thread(target=restart)
     thread.start()
@@ -218,12 +218,12 @@ def test_a_restart_that_searches_ends_when_the_camera_is_closed(camera):
     one.close()
     thread.join(20)
     assert not thread.is_alive()
-    assert "closed" in said[0]
+    assert "closed" in lines[0]
     assert one.pid is None
 
 
 @pytest.mark.parametrize(
-    ("driver", "said"),
+    ("driver", "message"),
     [
         ("no_such_module:Camera", r"driver: found No module named 'no_such_module', expected an"),
         (
@@ -232,10 +232,10 @@ def test_a_restart_that_searches_ends_when_the_camera_is_closed(camera):
         ),
     ],
 )
-def test_a_driver_that_is_not_there_is_told_with_the_cameras_name(processes, driver, said):
+def test_a_driver_that_is_not_there_is_told_with_the_cameras_name(processes, driver, message):
     one = CameraProcess("cam4", "somewhere", None, 20.0, driver)
     processes.append(one)
-    with pytest.raises(DeviceError, match=r"camera cam4 \(somewhere\), " + said):
+    with pytest.raises(DeviceError, match=r"camera cam4 \(somewhere\), " + message):
         one.open()
 
 
@@ -260,18 +260,21 @@ def test_a_process_stops_at_each_named_step_of_its_pattern_and_camera(
     path.unlink()
     assert stop.exists()  # another pattern's photograph does not stop
     pid = one.pid
-    said = []
+    lines = []
 
     def killed():
         try:
             shot("x+")
         except DeviceError as error:
-            said.append(str(error))
+            lines.append(str(error))
 
     thread = threading.Thread(target=killed)
     thread.start()
     until = time.monotonic() + 10
-    while f"{pid} (python" in (told := Path(f"/proc/{pid}/stat").read_text()) and " T " not in told:
+    while (
+        f"{pid} (python" in (stated := Path(f"/proc/{pid}/stat").read_text())
+        and " T " not in stated
+    ):
         assert time.monotonic() < until
         time.sleep(0.005)
     assert not stop.exists()
@@ -279,5 +282,5 @@ def test_a_process_stops_at_each_named_step_of_its_pattern_and_camera(
     assert len(half) == {"downloading": 2000, "downloaded": 4000}.get(step, 0)
     os.kill(pid, signal.SIGKILL)
     thread.join(10)
-    assert "exit status -9" in said[0]
+    assert "exit status -9" in lines[0]
     gone(pid)

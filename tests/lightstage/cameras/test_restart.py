@@ -55,13 +55,13 @@ def test_a_stranger_at_its_port_is_let_go_again_and_told(two, fake):
     fake.make_body("7777")
     fake.plug({A: "7777", B: "6002"})
     two[0].deadlines = Deadlines(absent_s=60.0)
-    said = []
+    lines = []
 
     def restart():
         try:
             two[0].restart()
         except DeviceError as error:
-            said.append(str(error))
+            lines.append(str(error))
 
     thread = threading.Thread(target=restart)
     thread.start()
@@ -71,8 +71,8 @@ def test_a_stranger_at_its_port_is_let_go_again_and_told(two, fake):
         time.sleep(0.02)
     two[0].close()  # it would look on until its deadline
     thread.join(20)
-    assert "camera cam1, restart: found usb:001,004: found serial 7777" in said[0]
-    assert "expected the camera with serial 6001" in said[0]
+    assert "camera cam1, restart: found usb:001,004: found serial 7777" in lines[0]
+    assert "expected the camera with serial 6001" in lines[0]
     with pytest.raises(DeviceError, match="not open"):
         two[0].trigger(0.0)
 

@@ -54,13 +54,13 @@ def test_every_camera_gives_exactly_its_own_bytes_shot_after_shot(cameras, virtu
 
 
 def test_it_says_what_it_can_and_what_it_cannot(cameras):
-    told = cameras[0].open()
-    assert (told.model, told.firmware) == ("Nikon DSC D750", "2.5.11")
-    assert (told.shutter, told.aperture) == ("0.0100s", "f/2.8")
-    assert told.battery_percent == 50.0
-    assert told.card_free_bytes > 0
-    assert abs(told.clock_offset_s) < 60
-    assert told.untold() == [
+    summary = cameras[0].open()
+    assert (summary.model, summary.firmware) == ("Nikon DSC D750", "2.5.11")
+    assert (summary.shutter, summary.aperture) == ("0.0100s", "f/2.8")
+    assert summary.battery_percent == 50.0
+    assert summary.card_free_bytes > 0
+    assert abs(summary.clock_offset_s) < 60
+    assert summary.not_readable() == [
         *("serial", "mode", "iso", "white_balance", "image_format", "focus"),
         *("owner", "artist", "copyright", "place"),
     ]
@@ -193,8 +193,8 @@ def test_a_camera_that_cannot_tell_its_serial_is_not_bound_by_it(virtual, monkey
     monkeypatch.setenv("VCAMERADIR", str(virtual.folder("cam0", b"seed")))
     with pytest.raises(DeviceError) as caught:
         find_cameras(small_rig, CamerasFile(), 20.0, detect_ports)
-    said = str(caught.value)
-    assert "4 problems" in said
+    message = str(caught.value)
+    assert "4 problems" in message
     for camera in small_rig.cameras:
-        assert f"camera {camera.id}, serial: found not connected" in said
-    assert "port usb:001,001, serial: found a camera that cannot tell it" in said
+        assert f"camera {camera.id}, serial: found not connected" in message
+    assert "port usb:001,001, serial: found a camera that cannot report it" in message

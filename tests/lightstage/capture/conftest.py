@@ -47,8 +47,10 @@ class Bench:
     def run(self, before=None) -> CaptureReport:
         """Take what is wanted."""
         cards = {camera.id: camera.card() for camera in self.cameras}
-        told = {camera.id: camera.open() for camera in self.cameras}
-        photographer = Photographer(self.rig, self.writer, self.checks, self.config, told, cards)
+        summaries = {camera.id: camera.open() for camera in self.cameras}
+        photographer = Photographer(
+            self.rig, self.writer, self.checks, self.config, summaries, cards
+        )
         run = Run(
             self.shots, self.writer.state.wanted(), self.cameras, self.lights, photographer,
             self.writer, self.checks, self.operator, self.config, before,

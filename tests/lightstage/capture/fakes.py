@@ -10,6 +10,7 @@ import numpy as np
 from lightstage.cameras.camera import CardFile, Download, Exposure, Summary
 from lightstage.errors import DeviceError
 from lightstage.leds.controller import Hello
+from lightstage.operator import Wish
 
 TOLD = Summary(
     serial="600", model="Nikon DSC D750", firmware="1.0", mode="Manual", iso="100",
@@ -176,7 +177,7 @@ class ScriptedOperator:
     """Says what a test wants.
 
     Attributes:
-        wishes: given one by one when polled; None is nothing.
+        wishes: given one by one when polled, such as ``retake x+``; None is nothing.
         answers: to questions, in order; ``retake`` when they are used up.
         asked: findings of each question.
     """
@@ -187,7 +188,8 @@ class ScriptedOperator:
         self.asked: list[list] = []
 
     def command(self):
-        return self.wishes.pop(0) if self.wishes else None
+        wish = self.wishes.pop(0) if self.wishes else None
+        return None if wish is None else Wish(*wish.split())
 
     def decide(self, findings, retakes_left):
         self.asked.append(list(findings))

@@ -92,13 +92,13 @@ def test_a_signal_ends_dark_with_whole_files_however_often_it_comes(stage, tmp_p
     for _ in range(4):  # a second Ctrl-C must not lose what the first one has to say
         child.send_signal(number)
         time.sleep(0.1)
-    _, said = child.communicate(timeout=60)
+    _, printed = child.communicate(timeout=60)
     assert child.returncode == INTERRUPTED
-    assert "Traceback" not in said
-    assert said.count("STOPPING") == 1
+    assert "Traceback" not in printed
+    assert printed.count("STOPPING") == 1
     assert json.loads((out / "journal.jsonl").read_text().splitlines()[-1])["event"] == "aborted"
-    assert "Stopped by the operator.\n  Go on with: lightstage capture --resume --out" in said
-    assert "Error" not in said
+    assert "Stopped by the operator.\n  Go on with: lightstage capture --resume --out" in printed
+    assert "Error" not in printed
     assert stage.device.dark
     assert not (out / "session.json").exists()
     assert list(out.rglob(".*")) == []
@@ -245,8 +245,8 @@ def test_a_limit_above_three_flashes_is_warned_of_at_the_start_in_the_facts_and_
     assert "seizures" in done.stderr
     facts = json.loads(done.stdout.splitlines()[-1])
     assert facts["safety"]["max_flashes_per_s"] == 10
-    (said,) = facts["photosensitivity"]
-    assert "10 flashes per second allowed" in said
+    (stated,) = facts["photosensitivity"]
+    assert "10 flashes per second allowed" in stated
     lines = [json.loads(line) for line in (out / "journal.jsonl").read_text().splitlines()]
     kinds = [line.get("code", line["event"]) for line in lines]
     assert kinds.index("photosensitivity") < kinds.index("lit")

@@ -155,7 +155,7 @@ def test_a_subject_that_the_labs_table_lacks_lights_nothing(stage, tmp_path, tab
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "message"),
     [
         (b"P07\nAnna Maria\n", "line 2: found 'Anna Maria'"),
         (b"\xff\xfeP\0", "byte-order mark"),
@@ -165,13 +165,13 @@ def test_a_subject_that_the_labs_table_lacks_lights_nothing(stage, tmp_path, tab
         (None, "no such file"),
     ],
 )
-def test_a_table_that_is_none_is_refused_with_its_name_and_line(tmp_path, table, data, said):
+def test_a_table_that_is_none_is_refused_with_its_name_and_line(tmp_path, table, data, message):
     _, known = table
     known.unlink() if data is None else known.write_bytes(data)
     with pytest.raises(ConfigError) as wrong:
         require_known("P07", SessionConfig(pseudonyms=str(known)))
     assert str(wrong.value).startswith(str(known))
-    assert said in str(wrong.value)
+    assert message in str(wrong.value)
 
 
 def test_a_pseudonym_is_known_however_its_accents_were_written(table):

@@ -15,6 +15,7 @@ from lightstage.errors import CaptureError, ConfigError, DeviceError, StoppedErr
 from lightstage.findings import Finding
 from lightstage.formats.session import load_session
 from lightstage.leds.controller import LightLostError
+from lightstage.operator import Wish
 
 
 def bad(code, camera=None, pattern=None, severity="retake"):
@@ -48,8 +49,8 @@ def test_every_photograph_is_lit_intended_exposed_and_kept_in_this_order(bench):
 def test_the_light_is_confirmed_after_each_exposure_and_before_its_download(bench):
     bench.run()
     for camera in bench.cameras:
-        for place, said in enumerate(bench.log):
-            if said == f"download {camera.id}":
+        for place, message in enumerate(bench.log):
+            if message == f"download {camera.id}":
                 before = bench.log[:place]
                 trigger = len(before) - before[::-1].index(f"trigger {camera.id}")
                 assert "confirm" in before[trigger:]
@@ -110,7 +111,7 @@ def test_without_acknowledgement_no_camera_is_triggered(bench):
     bench.lights.fail["light"] = (1, 99, lost)
     with pytest.raises(CaptureError, match="another boot id"):
         bench.run()
-    assert not [said for said in bench.log if said.startswith("trigger")]
+    assert not [text for text in bench.log if text.startswith("trigger")]
 
 
 def test_an_old_picture_is_never_kept_under_a_new_name(bench):
@@ -247,7 +248,7 @@ def test_an_abort_makes_the_stage_dark_first_and_what_was_exposed_still_comes_ho
 def test_a_stop_while_a_light_waits_for_its_turn_is_a_stop_and_no_cameras_failure(bench):
     lost = LightLostError("lights", found="put out by another thread", expected="a light to stay")
     bench.lights.fail["light"] = (2, 2, lost)
-    bench.operator.command = lambda: "abort" if bench.log.count("light") == 2 else None
+    bench.operator.command = lambda: Wish("abort") if bench.log.count("light") == 2 else None
     with pytest.raises(StoppedError, match=r"^Stopped by the operator\.$"):
         bench.run()
     assert bench.events("finding", "failed") == []
@@ -257,7 +258,7 @@ def test_a_stop_while_a_light_waits_for_its_turn_is_a_stop_and_no_cameras_failur
 def test_a_stop_at_a_question_is_a_stop(bench):
     bench.cameras[1].faults = {1: "fail"}
     bench.operator.decide = lambda *_: "abort"
-    bench.operator.command = lambda: "abort" if bench.events("finding") else None
+    bench.operator.command = lambda: Wish("abort") if bench.events("finding") else None
     with pytest.raises(StoppedError, match=r"^Stopped by the operator\.$"):
         bench.run()
 
@@ -292,7 +293,7 @@ def test_a_stop_does_not_wait_for_a_camera_that_hangs_and_no_thread_writes_after
 
     def once_the_others_exposed():
         exposed = all(each.on_card for each in bench.cameras[:2])
-        return "abort" if camera.hanging and exposed else None
+        return Wish("abort") if camera.hanging and exposed else None
 
     bench.operator.command = once_the_others_exposed
     with pytest.raises(StoppedError):
@@ -325,8 +326,8 @@ def test_a_camera_that_hung_takes_the_pattern_again_alone_and_nobody_is_asked(be
     assert report.retakes == camera.restarts == 1
     assert [each.shots for each in bench.cameras] == [3, 3, 4]
     assert bench.kept("x+") == ["cam0.dng", "cam1.dng", "cam2.take2.dng"]
-    (told,) = bench.events("finding")
-    assert (told["code"], told["camera"]) == ("not-taken", "cam2")
+    (finding,) = bench.events("finding")
+    assert (finding["code"], finding["camera"]) == ("not-taken", "cam2")
 
 
 def test_a_camera_that_hangs_for_ever_is_asked_about_in_the_end(bench):
@@ -372,6 +373,27 @@ def test_the_operator_gets_the_last_pattern_again_for_asking(bench):
     )
 
 
+def test_a_pattern_that_is_named_is_taken_again_whatever_came_after_it(bench):
+    # Heard while x+ is taken: the one that the page showed.
+    bench.operator.wishes = [None] * 8 + ["retake full"]
+    bench.run()
+    twice = sorted(f"cam{i}{take}.dng" for i in range(3) for take in ("", ".take2"))
+    assert bench.kept("full") == twice
+    assert bench.kept("x+") == ["cam0.dng", "cam1.dng", "cam2.dng"]
+
+
+def test_a_retake_that_is_wished_in_a_pause_comes_after_it(bench):
+    bench.operator.wishes = ["pause", None, "retake full", None, "resume"]
+    report = bench.run()
+    assert report.frames == 9
+    assert report.retakes == 3
+    events = bench.events("note", "rejected", "lit")
+    paused = next(i for i, line in enumerate(events) if "paused" in line.get("said", ""))
+    assert events[paused + 1]["event"] == "rejected"
+    lit = [line["pattern"] for line in events[paused:] if line["event"] == "lit"]
+    assert lit == ["full", "x+", "x-"]
+
+
 def test_photographs_stay_on_the_cameras_unless_the_lab_wants_otherwise(bench):
     bench.run()
     assert [len(camera.on_card) for camera in bench.cameras] == [3, 3, 3]
@@ -405,9 +427,9 @@ def test_a_full_disk_ends_the_capture_and_the_other_photographs_are_kept(bench):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("owner", "clears it on the camera"), ("iso", "sets it back on the camera")]
+    ("name", "message"), [("owner", "The field is cleared"), ("iso", "The setting is set back")]
 )
-def test_a_setting_that_the_key_r_mends_says_so(bench, name, said):
+def test_a_setting_that_either_answer_mends_says_so(bench, name, message):
     camera = bench.cameras[1]
     changed = dataclasses.replace(camera.open(), **{name: "800"})
     camera.summary = lambda: camera.open() if "retake" in bench.log else changed
@@ -415,17 +437,40 @@ def test_a_setting_that_the_key_r_mends_says_so(bench, name, said):
     bench.run()
     hints = [line["hint"] for line in bench.events("finding") if line["code"] == "drift"]
     assert hints
-    assert all(hint == f"Taking it again (key r) {said} first." for hint in hints)
+    assert all(
+        hint
+        == f"{message} on the camera in any case: r then takes this photograph again, a keeps it."
+        for hint in hints
+    )
+
+
+def test_a_setting_that_drifted_is_set_back_where_the_photograph_is_accepted(bench):
+    camera = bench.cameras[0]
+    told = camera.open()
+    changed: list[tuple[str, str]] = []
+
+    def summary():
+        drifted = camera.shots >= 2 and not changed
+        return dataclasses.replace(told, iso="400") if drifted else told
+
+    camera.summary = summary
+    camera.change = lambda name, value: changed.append((name, value))
+    bench.operator.answers = ["accept"]
+    bench.run()
+    assert changed == [("iso", told.iso)]
+    assert len(bench.operator.asked) == 1  # the patterns after it are not in question
+    assert bench.kept("x+") == ["cam0.dng", "cam1.dng", "cam2.dng"]
+    assert [line["said"] for line in bench.events("note")].count("iso set back") == 1
 
 
 def test_a_setting_that_drifted_is_told_set_back_and_the_photograph_taken_again(bench):
     camera = bench.cameras[0]
-    told = camera.open()
-    camera.told = told
-    drifted = dataclasses.replace(told, white_balance="Auto")
+    found = camera.open()
+    camera.told = found
+    drifted = dataclasses.replace(found, white_balance="Auto")
 
     def summary():
-        return drifted if camera.shots == 2 and not camera.changed else told
+        return drifted if camera.shots == 2 and not camera.changed else found
 
     camera.changed = []
     camera.summary = summary
@@ -464,6 +509,6 @@ def test_a_camera_that_is_slow_but_within_the_grace_keeps_its_light(bench, monke
     bench.config = dataclasses.replace(bench.config, late_camera_grace_s=4.0)
     bench.cameras[2].faults[2] = "late"  # by a second
     bench.run()
-    (told,) = bench.events("waiting")
-    assert (told["pattern"], told["cameras"], told["lit"]) == ("x+", ["cam2"], True)
+    (finding,) = bench.events("waiting")
+    assert (finding["pattern"], finding["cameras"], finding["lit"]) == ("x+", ["cam2"], True)
     assert bench.kept("x+") == ["cam0.dng", "cam1.dng", "cam2.dng"]

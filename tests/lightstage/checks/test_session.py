@@ -168,9 +168,9 @@ def test_check_says_what_the_files_that_a_session_has_do_not_prove(session, lack
         (session / name).unlink()
     done = checked(session)
     assert done.code == 0, done.err
-    said = [line for line in done.err.splitlines() if line.startswith("note: ")]
-    assert len(said) == len(notes)
-    for line, part in zip(said, notes, strict=True):
+    printed = [line for line in done.err.splitlines() if line.startswith("note: ")]
+    assert len(printed) == len(notes)
+    for line, part in zip(printed, notes, strict=True):
         assert line.startswith(f"note: {part}")
         assert line.endswith((" told.", " noticed."))
 
@@ -197,5 +197,7 @@ def test_check_tells_two_photographs_that_were_exchanged_on_the_disk(session, ch
     assert "Traceback" not in done.err
     assert done.out == ""
     for name, camera in zip(names, ("cam0", "cam1"), strict=True):
-        told = f"frame x+ by {camera}, sha256: found" if changed_along else f"{name}, sha256: found"
-        assert told in done.err, done.err
+        stated = (
+            f"frame x+ by {camera}, sha256: found" if changed_along else f"{name}, sha256: found"
+        )
+        assert stated in done.err, done.err

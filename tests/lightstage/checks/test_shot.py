@@ -20,7 +20,7 @@ from sim.camera.optics import defocus
 DARK_FIRST = ("dark", *BINARY)
 
 
-def told(stage, patterns=BINARY, **changed):
+def codes_found(stage, patterns=BINARY, **changed):
     """Findings of a session; `changed` maps a pattern's name to (camera, expected one) -> photo."""
 
     def make(camera, pattern):
@@ -41,18 +41,18 @@ def only(camera, pattern, photo):
 @pytest.mark.parametrize("person", ["light", "dark"])
 @pytest.mark.parametrize("patterns", [BINARY, DARK_FIRST, BINARY[:3], ("full",), ("x+", "x-")])
 def test_a_good_session_of_any_skin_has_no_findings(stages, person, patterns):
-    assert told(stages[person], patterns) == []
+    assert codes_found(stages[person], patterns) == []
 
 
 def test_polarised_photographs_pass_and_swapped_banks_are_told(stage):
-    assert not named(told(stage, POLARISED), "bank-swapped")
+    assert not named(codes_found(stage, POLARISED), "bank-swapped")
 
     def swapped(camera, pattern):
         base, kind = pattern.split("@")
         other = {"cross": "parallel", "parallel": "cross"}[kind]
         return stage.expose(camera, stage.see(camera, f"{base}@{other}"), seed=1)
 
-    found = told(stage, POLARISED, make=swapped)
+    found = codes_found(stage, POLARISED, make=swapped)
     assert named(found, "bank-swapped") == {("full@cross", None), ("x+@cross", None)}
 
 
@@ -63,7 +63,7 @@ def test_an_old_picture_is_told_at_once_and_one_of_another_shot_by_its_light(sta
     found = checks.add("x-", "cam1", stale)
     assert [(f.code, f.severity, f.camera) for f in found] == [("stale", "retake", "cam1")]
     late = stage.expose("cam1", stage.see("cam1", "y+"), seed=1)
-    found = told(stage, make=only("cam1", "z+", late))
+    found = codes_found(stage, make=only("cam1", "z+", late))
     assert named(found, "wrong-picture") == {("z+", "cam1")}
     assert len(found) == 1
 
@@ -72,7 +72,7 @@ def test_another_pattern_in_all_cameras_is_the_light(stage):
     def other(camera, pattern):
         return stage.expose(camera, stage.see(camera, "x+"), seed=1) if pattern == "y-" else None
 
-    found = told(stage, make=other)
+    found = codes_found(stage, make=other)
     assert named(found, "wrong-light") == {("y-", None)}
     assert "looks like x+" in found[0].found
     assert len(found) == 1
@@ -84,7 +84,7 @@ def test_a_camera_that_drifts_is_named_and_the_others_are_not(stage, gain):
         late = camera == "cam4" and BINARY.index(pattern) >= 3
         return stage.expose(camera, stage.see(camera, pattern), gain) if late else None
 
-    found = told(stage, make=drifted)
+    found = codes_found(stage, make=drifted)
     assert {f.camera for f in found} == {"cam4"}
     assert "y+" in {f.pattern for f in found}
     assert not {f.pattern for f in found} & {"full", "x+", "x-"}
@@ -97,7 +97,7 @@ def test_a_pattern_that_was_lit_too_weakly_is_the_light(stage):
         light = stage.see(camera, pattern) * np.float32(0.9)
         return stage.expose(camera, light) if pattern == "y+" else None
 
-    assert named(told(stage, make=weak), "light-level") == {("y+", None)}
+    assert named(codes_found(stage, make=weak), "light-level") == {("y+", None)}
 
 
 def test_a_hidden_lamp_that_stays_on_is_told_from_the_room(stage):
@@ -112,7 +112,7 @@ def test_a_hidden_lamp_that_stays_on_is_told_from_the_room(stage):
         lamp = stage.see(camera, f"olat-{number:03d}")
         return stage.expose(camera, stage.see(camera, pattern) + lamp)
 
-    found = told(stage, DARK_FIRST, make=stuck)
+    found = codes_found(stage, DARK_FIRST, make=stuck)
     assert "lamp-on" in {f.code for f in found}
     room = stage.see("cam0", "dark").max()
 
@@ -121,15 +121,15 @@ def test_a_hidden_lamp_that_stays_on_is_told_from_the_room(stage):
         return stage.expose(camera, stage.see(camera, pattern) + more)
 
     assert room > 0
-    found = told(stage, DARK_FIRST, make=lit_room)
+    found = codes_found(stage, DARK_FIRST, make=lit_room)
     assert {f.code for f in found} == {"dark-leak"}
-    assert {f.code for f in told(stage, make=lit_room)} == {"ambient"}
+    assert {f.code for f in codes_found(stage, make=lit_room)} == {"ambient"}
 
 
 def test_a_blurred_photograph_is_told_and_another_light_is_no_blur(stage):
     light = stage.see("cam1", "y+")
     soft = stage.expose("cam1", defocus(light, np.full(light.shape[:2], 3.0)))
-    found = told(stage, make=only("cam1", "y+", soft))
+    found = codes_found(stage, make=only("cam1", "y+", soft))
     assert named(found, "blurred") == {("y+", "cam1")}
     assert [f.severity for f in found] == ["retake"]
 
@@ -144,7 +144,7 @@ def test_motion_is_told_in_millimetres_and_pixels(stage, code, who):
         turned = cv2.warpAffine(light, matrix, light.shape[1::-1], flags=cv2.INTER_CUBIC)
         return stage.expose(camera, np.maximum(turned, 0))
 
-    found = told(stage, make=moved)
+    found = codes_found(stage, make=moved)
     assert named(found, code) == {("z-", who)}
     assert all("px" in f.found for f in found if f.code == code)
 
@@ -153,14 +153,14 @@ def test_over_and_underexposure_are_told_by_camera(stage):
     def bright(camera, pattern):
         return stage.expose(camera, stage.see(camera, pattern), 3.0) if camera == "cam0" else None
 
-    found = told(stage, ("full",), make=bright)
+    found = codes_found(stage, ("full",), make=bright)
     assert named(found, "clipped") == {("full", "cam0")}
     assert named(found, "unlike-others") == {("full", "cam0")}
 
     def dim(camera, pattern):
         return stage.expose(camera, stage.see(camera, pattern), 0.02) if camera == "cam0" else None
 
-    found = told(stage, ("full",), make=dim)
+    found = codes_found(stage, ("full",), make=dim)
     assert named(found, "underexposed") == {("full", "cam0")}
     assert "retake" in {f.severity for f in found}
 

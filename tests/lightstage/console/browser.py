@@ -28,9 +28,12 @@ class Browser:
         folder: for its profile; a new one.
         width: of the window, pixels.
         height: the same.
+        more: options for it, beside `QUIET`.
     """
 
-    def __init__(self, folder: Path, width: int = 1280, height: int = 900) -> None:
+    def __init__(
+        self, folder: Path, width: int = 1280, height: int = 900, more: tuple[str, ...] = ()
+    ) -> None:
         program = shutil.which("chromium") or shutil.which("chromium-browser")
         if program is None:
             pytest.skip("no Chromium: install Debian's package chromium")
@@ -39,7 +42,7 @@ class Browser:
         # Chromium reads commands from 3 and writes answers to 4, whatever pytest has open there.
         start = 'exec "$@" 3<&"$IN" 4>&"$OUT"'
         self._process = subprocess.Popen(
-            ["bash", "-c", start, "chromium", program, *QUIET, f"--user-data-dir={folder}",
+            ["bash", "-c", start, "chromium", program, *QUIET, *more, f"--user-data-dir={folder}",
              f"--window-size={width},{height}", "about:blank"],
             pass_fds=(to_read, to_write),
             env={**os.environ, "IN": str(to_read), "OUT": str(to_write)},
@@ -99,6 +102,14 @@ class Browser:
                 raise AssertionError(f"not so within {seconds:g} s: {code}\n{text}\n{self.errors}")
             time.sleep(0.05)
 
+    def drag(self, start: tuple[int, int], end: tuple[int, int]) -> None:
+        """Press the left button at one place of the window and let it go at another."""
+        for kind, (x, y) in (
+            ("mousePressed", start), ("mouseMoved", end), ("mouseReleased", end)
+        ):  # fmt: skip
+            held = {"button": "left", "buttons": 1, "clickCount": 1}
+            self._ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, **held)
+
     def press(self, key: str) -> None:
         """Press a key, as a person does."""
         for kind in ("keyDown", "keyUp"):
@@ -139,6 +150,8 @@ class Browser:
     def _notice(self, told: dict[str, Any]) -> None:
         if told.get("method") == "Runtime.exceptionThrown":
             self.errors.append(json.dumps(told["params"]["exceptionDetails"])[:500])
+        if told.get("method") == "Runtime.consoleAPICalled" and told["params"]["type"] == "error":
+            self.errors.append(json.dumps(told["params"]["args"])[:500])
         if told.get("method") == "Log.entryAdded":
             entry = told["params"]["entry"]
             if entry["level"] == "error":

@@ -91,6 +91,11 @@ def test_two_browsers_abort_at_once_and_the_session_goes_on_later(staged, plan) 
         assert "no capture runs" in late.text
         assert "STOPPED" in visitors[1].get("/session/P1+neutral/part").text
         assert visitors[1].post("/session/P1+neutral/resume").headers["HX-Redirect"] == "/live"
+        # Until its capture speaks, what the page shows is no old state, and it can be stopped.
+        part = visitors[1].get("/session/P1+neutral/part").text
+        assert "STARTING" in part
+        assert "STOPPED" not in part
+        assert 'data-key="q"' in part
         wait_until(lambda: events_of(root, "end"), "the session's end")
         assert check_session(root).frames == 9
 
@@ -106,6 +111,7 @@ def test_a_question_waits_dark_for_the_page(staged, plan) -> None:
         visitor.shows("/session/P1+neutral/part", "take it again", "WAITING FOR YOU")
         assert stage.device.dark
         devices = visitor.get("/devices/part").text
+        assert "news warning" not in devices  # nothing is near its budget
         assert re.search(
             r"at [0-9]+ % of full power's warmth at most \(90 % are allowed\).* "
             r"[0-9]+ s at full level \(600 s are allowed\)",
@@ -114,7 +120,13 @@ def test_a_question_waits_dark_for_the_page(staged, plan) -> None:
         time.sleep(0.5)
         assert not events_of(root, "answered")
         assert "there is no photograph" in visitor.post("/session/P1+neutral/do", do="accept").text
+        other = visitor.post("/session/P1+neutral/do", do="retake", pattern="x-", answer="1").text
+        assert "a question about x+ waits" in other
         visitor.post("/session/P1+neutral/do", do="retake")
+        wait_until(lambda: len(events_of(root, "asked")) == 2, "the second question")
+        again = visitor.shows("/session/P1+neutral/part", "question 2 about it")
+        assert "no picture was taken" in again
+        assert ".." not in re.sub("<[^>]+>", "", again)
         while not events_of(root, "end"):
             if len(events_of(root, "asked")) > len(events_of(root, "answered")):
                 visitor.post("/session/P1+neutral/do", do="retake")
@@ -225,8 +237,15 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         assert stage.device.dark
         # Nothing is wider than a tablet held upright.
         assert browser.js("document.documentElement.scrollWidth") <= 800
+        # In a pause r takes again the pattern that was shown, and says which.
+        shown = browser.js("document.querySelector('[data-key=r]').innerText.split(' ')[1]")
+        browser.press("r")
+        browser.wait(f"document.getElementById('said').innerText.includes('{shown} will be taken')")
         browser.press("c")
         browser.wait('document.body.innerText.includes("COMPLETE")')
+        taken = [each["pattern"] for each in events_of(site.desk.folder / "P1+neutral", "lit")]
+        assert taken.count(shown) == 2
+        assert len(taken) == 4
         browser.wait('document.body.dataset.sound === "done"')
         browser.wait("[...document.images].filter(i => i.naturalWidth > 0).length === 9")
         browser.js("document.querySelector('.photo').click()")
@@ -239,6 +258,7 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         assert browser.errors == []
         root = site.desk.folder / "P1+neutral"
         assert check_session(root).frames == 9
+        assert browser.js("document.querySelector('#look .side').scrollWidth") <= 800
         # Without its stream of events the page comes to know all the same.
         browser.js("window.EventSource = class { close() {} }; 1")
         browser.js("document.getElementById('look').close(); 1")
@@ -249,6 +269,15 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.press("q")
         browser.wait('document.body.innerText.includes("STOPPED")')
         assert stage.device.dark
+        # g goes on with it; s, beside it on the keyboard, only says so.
+        browser.wait("document.querySelector('button[data-key=g]')")
+        assert "Press g to resume it" in browser.js("document.body.innerText")
+        assert "lightstage capture" not in browser.js("document.body.innerText")
+        wait_until(lambda: not site.desk.running(), "an idle stage")
+        browser.press("s")
+        browser.wait("document.getElementById('said').innerText.includes('Press g to go on')")
+        assert browser.js("location.pathname").startswith("/session/P1%2Bsmile")
+        assert not site.desk.running()
         for key, path in (("1", "/plan"), ("3", "/devices"), ("4", "/sessions")):
             browser.press(key)
             browser.wait(f"location.pathname === '{path}' && document.readyState === 'complete'")
@@ -256,8 +285,10 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         # A stop while devices are opened is a stop, and no page of its own.
         wait_until(lambda: not site.desk.running(), "an idle stage")
         browser.press("1")
-        browser.wait("location.pathname === '/plan' && document.querySelector('[data-key=s]')")
+        browser.wait("location.pathname === '/plan' && document.querySelector('[data-key=g]')")
         browser.press("s")
+        browser.wait("document.getElementById('said').innerText.includes('press g to go on')")
+        browser.press("g")
         browser.wait('document.body.innerText.includes("COMPLETE")')
         assert "Stopped by the operator" not in browser.js(
             "document.querySelector('main').innerText"
@@ -276,3 +307,34 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.forget_cookies()
         browser.wait("!document.getElementById('unknown').hidden")
         assert browser.js("document.body.classList.contains('old')")
+
+
+def test_a_question_shows_its_photograph_and_says_that_the_camera_is_set_back(
+    staged, plan, tmp_path
+) -> None:
+    fault = Fault("wrong-iso", camera="cam1", at=2, value="400")
+    _, options = staged(fault)
+    with served(plan, options) as site, Browser(tmp_path / "profile", 1280, 800) as browser:
+        browser.go(site.url)
+        browser.press("s")
+        browser.wait('document.body.innerText.includes("WAITING FOR YOU")')
+        browser.wait("document.querySelector('.concerned img').naturalWidth > 0")
+        for part in (".concerned img", "[data-key=r]", "[data-key=a]"):
+            place = f"document.querySelector('{part}').getBoundingClientRect()"
+            assert browser.js(f"{place}.bottom") <= 800, part
+        text = browser.js("document.querySelector('main').innerText")
+        assert text.count("ISO in the file") == 1
+        assert text.count("The setting is set back on the camera in any case") == 1
+        assert "no pulse frequency" not in text  # of the stage, not of this session
+        browser.resize(800, 1000)
+        assert browser.js("document.documentElement.scrollWidth") <= 800
+        browser.press("a")
+        browser.wait('document.body.innerText.includes("COMPLETE")')
+        root = site.desk.folder / "P1+neutral"
+        assert len(events_of(root, "asked")) == 1  # x- is taken with the right ISO
+        assert [each["said"] for each in events_of(root, "note")].count("iso set back") == 1
+        browser.press("1")
+        browser.wait("document.body.innerText.includes('findings accepted')")
+        row = browser.js("document.querySelector('.stand-done').innerText")
+        assert "done, with" in row
+        assert browser.errors == []

@@ -6,9 +6,12 @@ import json
 import re
 from pathlib import Path
 
+from lightstage.console.runner import Runner
+from lightstage.console.showing import device_values, page_words, when_words
 from lightstage.day import read_plan
 from lightstage.formats.files import write_bytes, write_json
-from tests.lightstage.console.conftest import served, together
+from lightstage.resume_line import resume_line, retake_line
+from tests.lightstage.console.conftest import served, together, wait_until
 
 EVIL = '<script>alert(1)</script>"><img src=x onerror=alert(2)>'
 
@@ -209,3 +212,142 @@ def test_sessions_that_nobody_looks_at_hold_no_file(site) -> None:
     for number in range(12):
         assert visitor.get(f"/session/P{number}+neutral").status == 200
     assert len(list(Path("/proc/self/fd").iterdir())) <= before + 6
+
+
+def test_each_session_keeps_the_reason_why_its_check_failed(site) -> None:
+    for name in ("P1+neutral", "P1+smile"):
+        root = write_session(site.desk.folder / name)
+        said = f"{root}/frames: a photograph of {name} is gone. Go on with it: " + resume_line(root)
+        write_json(
+            root / "checked.json",
+            {"schema": "lightstage.checked/1", "passed": False, "said": said, "session_sha256": ""},
+        )
+    page = site.visitor().get("/sessions").text
+    for name in ("P1+neutral", "P1+smile"):
+        assert f"frames: a photograph of {name} is gone. Press g on the session" in page
+    assert "lightstage capture" not in page
+
+
+def test_a_check_of_another_session_leaves_the_reason_of_the_first(site) -> None:
+    visitor = site.visitor()
+    for name in ("P1+neutral", "P1+smile"):
+        write_session(site.desk.folder / name)
+        visitor.post(f"/session/{name}/check")
+        checked = site.desk.folder / name / "checked.json"
+        wait_until(checked.exists, "the check's note")
+        wait_until(lambda: not site.desk.runner.state("check").running, "the check's end")
+    page = visitor.get("/sessions").text
+    assert page.count("X failed: ") == 2
+    assert page.count('class="why"') == 2
+    assert '<pre class="problem">' not in page  # nothing is said twice
+
+
+def test_faults_that_were_accepted_are_told_wherever_a_session_is_done(site) -> None:
+    end = {"event": "end", "frames": 2, "capture": {"accepted": 1, "accepted_findings": 3}}
+    for name, more in (("P1+neutral", end), ("P1+smile", None)):
+        root = write_session(site.desk.folder / name)
+        journal = root / "journal.jsonl"
+        if more is not None:
+            lines = journal.read_text().splitlines()
+            lines[-1] = json.dumps({"id": len(lines), **more})
+            journal.write_text("\n".join(lines) + "\n")
+    visitor = site.visitor()
+    plan = visitor.get("/plan").text
+    assert "✓ done, with 3 findings accepted: " in plan
+    assert plan.count("✓ done: ") == 1
+    assert "2 of 4 sessions done, 1 of them with findings accepted." in plan
+    assert "1 pattern accepted with 3 findings" in visitor.get("/sessions").text
+
+
+def test_takes_of_one_expression_are_told_apart(site) -> None:
+    write_session(site.desk.folder / "P1+neutral")
+    write_session(site.desk.folder / "P1+neutral+2", created_utc="2031-05-06T11:30:00+00:00")
+    write_session(site.desk.folder / "old", created_utc="2031-05-05T11:30:00+00:00")
+    visitor = site.visitor()
+    visitor.post("/plan/again", take="P1/neutral", stamp=site.desk.stamp())
+    page = re.sub(r"\s+", " ", visitor.get("/sessions").text)
+    rows = re.findall(
+        r"(2031-05-0. ..:..)</a></td><td>P1</td><td>neutral</td><td>([^<]+)</td>", page
+    )
+    assert rows == [
+        ("2031-05-06 11:30", "2"), ("2031-05-06 10:00", "1"), ("2031-05-05 11:30", "old"),
+    ]  # fmt: skip
+    plan = visitor.get("/plan").text
+    assert ">take 1 (10:00)</a>, " in plan
+    assert ">take 2 (11:30)</a>" in plan
+    assert "P1, neutral, take 2" in visitor.get("/session/P1+neutral+2").text
+
+
+def test_a_person_is_removed_only_without_a_session(site, plan) -> None:
+    write_session(site.desk.folder / "P1+neutral")
+    visitor = site.visitor()
+    visitor.post("/plan/up", take="P2/smile", stamp=site.desk.stamp())
+    page = visitor.get("/plan").text
+    assert page.count('action="/plan/remove"') == 1
+    before = plan.read_bytes()
+    for subject, part in (("P1", "a person without a session"), ("P9", "a subject of the plan")):
+        said = visitor.post("/plan/remove", subject=subject, stamp=site.desk.stamp()).text
+        assert part in said, said
+    assert plan.read_bytes() == before
+    removed = visitor.post("/plan/remove", subject="P2", stamp=site.desk.stamp())
+    assert removed.headers["HX-Redirect"] == "/plan"
+    left = read_plan(plan)
+    assert [each.subject for each in left.subjects] == ["P1"]
+    assert {name.partition("/")[0] for name in left.order} <= {"P1"}
+
+
+def test_a_damaged_session_of_another_expression_keeps_its_person_too(site, plan) -> None:
+    root = site.desk.folder / "P1+asleep"
+    root.mkdir(parents=True)
+    (root / "journal.jsonl").write_text("{")
+    said = site.visitor().post("/plan/remove", subject="P1", stamp=site.desk.stamp()).text
+    assert "1 session (P1+asleep)" in said
+
+
+def test_a_stage_whose_rig_is_gone_is_told_in_words(tmp_path) -> None:
+    runner = Runner(tmp_path, tmp_path)
+    runner.start("devices", "devices", "", ["devices", "--rig", "none.json", "--leds",
+                                            "pty:///dev/none", "--json"])  # fmt: skip
+    state = wait_until(
+        lambda: None if (now := runner.state("devices")) and now.running else now, "its end"
+    )
+    values = device_values(state, state.ended_s + 125)
+    assert values["problem"] == "none.json: found no such file, expected a JSON file"
+    assert values["look"] is None
+    assert values["when"].endswith(" UTC, 2 min ago")
+
+
+def test_a_moment_is_told_with_how_long_ago_it_was() -> None:
+    assert when_words(0.0, 20.0) == "00:00 UTC, just now"
+    assert when_words(0.0, -5.0) == "00:00 UTC, just now"  # a clock that was set back
+    assert when_words(3600.0, 3600.0 + 720) == "01:00 UTC, 12 min ago"
+    assert when_words(0.0, 7300.0) == "00:00 UTC, 2 h ago"
+
+
+def test_what_a_command_would_have_typed_is_told_by_the_pages_own_keys(tmp_path) -> None:
+    root = tmp_path / "a folder" / "P1+neutral"
+    options = ["--leds", "pty:///dev/pts/1?timeout_s=3&attempts=5", "--attended"]
+    again = retake_line(root, ["x+", "y-"], ["cam0", "cam2"], options)
+    text = (
+        f"X: found y\n  Go on with: {resume_line(root, options)}\n  Where that shows the same, "
+        f"take the others again: {again}"
+    )
+    assert page_words(text) == (
+        "X: found y\n  Press g on the session's page to resume it.\n  Where that shows the same, "
+        "take these again: x+,y- cam0 cam2 (click each photograph, then its button)."
+    )
+    assert page_words("X: found y, expected z") == "X: found y, expected z"
+
+
+def test_the_last_session_of_a_plan_says_that_all_is_done(site) -> None:
+    visitor = site.visitor()
+    for subject in ("P1", "P2"):
+        for expression in ("neutral", "smile"):
+            page = visitor.get("/plan").text
+            write_session(
+                site.desk.folder / f"{subject}+{expression}", subject=subject, expression=expression
+            )
+            assert "4 of 4" not in page
+            shown = visitor.get(f"/session/{subject}+{expression}").text
+            last = (subject, expression) == ("P2", "smile")
+            assert ("Everything of the" in shown) == last

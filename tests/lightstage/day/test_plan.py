@@ -19,7 +19,7 @@ WORDS = st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True).filter(
 )
 
 
-def said(tmp_path: Path, text: str) -> str:
+def refusal(tmp_path: Path, text: str) -> str:
     path = tmp_path / "plan.toml"
     path.write_text(text)
     with pytest.raises((ConfigError, FormatError)) as raised:
@@ -68,14 +68,14 @@ def test_a_plan_of_one_person_has_the_published_seven_expressions(tmp_path: Path
     ],
 )
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, parts: list[str]) -> None:
-    told = said(tmp_path, text)
+    stated = refusal(tmp_path, text)
     for part in parts:
-        assert part in told
+        assert part in stated
 
 
 def test_all_that_is_wrong_is_told_at_once(tmp_path: Path) -> None:
     text = HEAD + '[[subjects]]\nsubject = "A B"\n[[subjects]]\nsubject = "P2"\nexpressions = 3\n'
-    assert "4 problems" in said(tmp_path, text)
+    assert "4 problems" in refusal(tmp_path, text)
 
 
 @given(
@@ -113,10 +113,10 @@ def test_whatever_a_field_holds_is_taken_or_refused_in_words(value, field: str) 
     try:
         parse_plan(values, Path("plan.toml")).all_takes()
     except (ConfigError, FormatError) as error:
-        said = str(error)
+        refusal = str(error)
     else:
-        said = "plan.toml"
-    assert "plan.toml" in said
+        refusal = "plan.toml"
+    assert "plan.toml" in refusal
 
 
 def test_a_take_moves_by_one_and_stays_in_the_list(tmp_path: Path) -> None:

@@ -104,8 +104,8 @@ def test_the_command_lists_them(tmp_path: Path, run_command) -> None:
     assert "+ whole" in ended.out
     assert "- unfinished, 1 of 4" in ended.out
     assert "2 sessions, 1 whole, 0 checked, 0 processed" in ended.out
-    told = json.loads(run_command("lightstage", "sessions", str(tmp_path / "S"), "--json").out)
-    assert [each["state"] for each in told["sessions"]] == ["whole", "unfinished"]
+    message = json.loads(run_command("lightstage", "sessions", str(tmp_path / "S"), "--json").out)
+    assert [each["state"] for each in message["sessions"]] == ["whole", "unfinished"]
     empty = tmp_path / "empty"
     empty.mkdir()
     ended = run_command("lightstage", "sessions", str(empty))

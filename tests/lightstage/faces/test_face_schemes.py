@@ -44,9 +44,9 @@ def test_left_and_right_of_ibug_are_left_and_right_of_the_mesh(template):
 def test_landmarks_come_out_where_the_template_has_them(template):
     vertices = template.mesh.vertices
     weights = landmark_weights(template.face_points.on(vertices), vertices[template.landmarks])
-    told = weights.any(axis=1)
-    assert told[17:].all()
-    assert np.allclose(weights[told].sum(axis=1), 1)
+    stated = weights.any(axis=1)
+    assert stated[17:].all()
+    assert np.allclose(weights[stated].sum(axis=1), 1)
     found = template_landmarks(seen(template, 0.0), weights)
     expected = 2.0 * vertices[template.landmarks][:, :2] * [1, -1]
     away = np.linalg.norm(found - expected, axis=1) / 2.0

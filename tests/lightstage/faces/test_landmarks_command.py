@@ -109,11 +109,11 @@ def test_a_photograph_without_a_face_is_left_out_and_alone_refused(photos, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [("text.png", "another kind of file"), ("cut.png", "a PNG that cannot be read")],
 )
-def test_what_is_no_photograph_is_refused(photos, name, said):
-    with pytest.raises(FormatError, match=f"found {said}"):
+def test_what_is_no_photograph_is_refused(photos, name, message):
+    with pytest.raises(FormatError, match=f"found {message}"):
         read_photo(photos / name)
 
 

@@ -44,7 +44,7 @@ def test_each_scheme_has_its_place_its_options_and_its_defaults():
 
 
 @pytest.mark.parametrize(
-    ("url", "said"),
+    ("url", "message"),
     [
         ("http://x/y", "http"),
         ("serial://", "expected serial:///dev"),
@@ -83,8 +83,8 @@ def test_each_scheme_has_its_place_its_options_and_its_defaults():
         ("sacn://h?interface=10.0.0.1", "interface: found a host, h, expected multicast"),
     ],
 )
-def test_a_malformed_url_is_refused(url, said):
-    with pytest.raises(ConfigError, match=said):
+def test_a_malformed_url_is_refused(url, message):
+    with pytest.raises(ConfigError, match=message):
         parse_url(url)
 
 

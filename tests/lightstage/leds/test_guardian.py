@@ -100,9 +100,9 @@ class Running:
             text=True,
             start_new_session=True,
         )
-        said = self.process.stdout.readline().split()
-        assert said[:1] == ["lit"], self.process.stderr.read()
-        self.guardian, self.child = int(said[1]), int(said[2])
+        printed = self.process.stdout.readline().split()
+        assert printed[:1] == ["lit"], self.process.stderr.read()
+        self.guardian, self.child = int(printed[1]), int(printed[2])
 
     def __enter__(self):
         if self.process.poll() is None:

@@ -33,7 +33,7 @@ def test_one_command_sets_every_fixture_in_both_groups():
 
 
 @pytest.mark.parametrize(
-    ("message", "said"),
+    ("message", "expected"),
     [
         (3, "a message that is 3"),
         ([], r"a message that is \[\]"),
@@ -46,8 +46,8 @@ def test_one_command_sets_every_fixture_in_both_groups():
         ({"Response": {}, "Event": {}}, "a map of Response, Event"),
     ],
 )
-def test_a_message_that_is_none_of_lsservers_is_told_in_words(message, said):
-    with pytest.raises(lsserver.LsserverError, match=said):
+def test_a_message_that_is_none_of_lsservers_is_told_in_words(message, expected):
+    with pytest.raises(lsserver.LsserverError, match=expected):
         lsserver.read_message(cbor2.dumps(message))
 
 
@@ -142,10 +142,10 @@ def test_values_are_a_channels_share_of_each_of_its_emitters(lights, rgb, white,
 
 
 def test_a_channel_that_the_stage_does_not_have_is_refused_with_what_it_has():
-    said = (
+    text = (
         r"lights=white: found a rig with a light at channel 168, expected channels 0 to 167: the "
         r"stage has 12 arcs of 14 lights"
     )
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=text):
         IclLights(GRID, 169, IclOptions())
     IclLights(GRID, 336, IclOptions(lights="polarised"))

@@ -112,8 +112,8 @@ def test_hello_and_refused_payloads_are_read():
 def test_a_hello_tells_its_watchdog_and_pulses_behind_the_firmware_and_older_ones_do_not():
     head = struct.pack("<IH", 9, 168)
     assert wire.parse_hello(head + b"v1").watchdog_s is None
-    told = wire.parse_hello(head + b"v1\0watchdog_ms=2000\0pulse_hz=25000\0colour=blue\0odd")
-    assert (told.firmware, told.watchdog_s, told.pulse_hz) == ("v1", 2.0, 25000.0)
+    stated = wire.parse_hello(head + b"v1\0watchdog_ms=2000\0pulse_hz=25000\0colour=blue\0odd")
+    assert (stated.firmware, stated.watchdog_s, stated.pulse_hz) == ("v1", 2.0, 25000.0)
     for wrong in (b"watchdog_ms=soon", b"watchdog_ms=-1", b"pulse_hz=nan", b"pulse_hz=0"):
         with pytest.raises(wire.WireError, match=wrong.decode()):
             wire.parse_hello(head + b"v1\0" + wrong)

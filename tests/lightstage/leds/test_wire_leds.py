@@ -330,12 +330,12 @@ def test_a_packet_that_an_interrupt_cut_short_does_not_spoil_the_next():
 
 
 def test_pulses_are_those_of_the_address_else_those_of_the_device():
-    told = packet(0x02, 5, struct.pack("<IH", 7, 3) + b"fw\0pulse_hz=20000\0watchdog_ms=1500")
-    with Conversation((packet(0x01, 5), told)) as far, far.opened(5) as leds:
+    stated = packet(0x02, 5, struct.pack("<IH", 7, 3) + b"fw\0pulse_hz=20000\0watchdog_ms=1500")
+    with Conversation((packet(0x01, 5), stated)) as far, far.opened(5) as leds:
         assert leds.pulse_hz == 20000
         assert leds.hello.watchdog_s == 1.5
     with (
-        Conversation((packet(0x01, 5), told)) as far,
+        Conversation((packet(0x01, 5), stated)) as far,
         WireLeds("far", lambda: SerialPort(far.path), pulse_hz=25e3, first_sequence=5) as leds,
     ):
         assert leds.pulse_hz == 25000

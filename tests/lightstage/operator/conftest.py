@@ -53,7 +53,7 @@ class Story:
         return line
 
     def begin(self) -> None:
-        told = {
+        values = {
             name: {
                 "serial": f"60123{i}5",
                 "model": "Nikon DSC D750",
@@ -76,7 +76,7 @@ class Story:
             "firmware": "stage 1.4",
             "acknowledged": True,
         }
-        self.add("devices", led_device=leds, told=told)
+        self.add("devices", led_device=leds, told=values)
 
     def light(self, pattern: str, take: int = 1, cameras: list[str] | None = None) -> None:
         """Up to the trigger."""
@@ -124,25 +124,25 @@ def story() -> Callable[..., Story]:
 @pytest.fixture
 def replay() -> list[Line]:
     """A whole capture with a failed camera, a retake, a pause, and an end."""
-    told = Story()
-    told.begin()
+    stated = Story()
+    stated.begin()
     for pattern in PATTERNS[:3]:
-        told.shoot(pattern)
-    told.light("y+")
-    for camera in told.cameras:
+        stated.shoot(pattern)
+    stated.light("y+")
+    for camera in stated.cameras:
         if camera != "cam4":
-            told.keep("y+", camera)
-    told.add("failed", 9.0, pattern="y+", camera="cam4", take=1, said="no answer for 30 s")
-    told.add("note", camera="cam4", said="started again")
-    told.not_taken("y+", "cam4", "no answer for 30 s")
-    told.light("y+", 2, ["cam4"])
-    told.keep("y+", "cam4", 2)
-    told.add("shot", pattern="y+")
-    told.add("note", said="paused, the lights are dark")
+            stated.keep("y+", camera)
+    stated.add("failed", 9.0, pattern="y+", camera="cam4", take=1, said="no answer for 30 s")
+    stated.add("note", camera="cam4", said="started again")
+    stated.not_taken("y+", "cam4", "no answer for 30 s")
+    stated.light("y+", 2, ["cam4"])
+    stated.keep("y+", "cam4", 2)
+    stated.add("shot", pattern="y+")
+    stated.add("note", said="paused, the lights are dark")
     for pattern in PATTERNS[4:]:
-        told.shoot(pattern)
-    told.add("end", frames=63)
-    return told.lines
+        stated.shoot(pattern)
+    stated.add("end", frames=63)
+    return stated.lines
 
 
 def write_lines(path: Path, lines: list[Line]) -> Path:

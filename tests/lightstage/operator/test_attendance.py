@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from lightstage.errors import ConfigError, DeviceError
 from lightstage.findings import Finding
 from lightstage.formats.config import make_config
-from lightstage.operator import OperatorConfig, Unattended
+from lightstage.operator import OperatorConfig, Unattended, Wish
 from lightstage.operator.attendance import Request, Requests, by_rule
 
 BAD = Finding("retake", "blur", "x+ by cam0", "blurred", "sharp", pattern="x+", camera="cam0")
@@ -59,8 +59,8 @@ def test_an_abort_darkens_the_lights_before_anybody_who_waits_is_told():
     assert requests.request("abort") is None
     waiting.join(10)
     assert order == ["dark", "abort"]
-    assert requests.command() == "abort"
-    assert requests.command() == "abort"
+    assert requests.command() == Wish("abort")
+    assert requests.command() == Wish("abort")
     assert requests.request("abort") is None
     assert order == ["dark", "abort"]
 
@@ -75,7 +75,7 @@ def test_lights_that_fail_at_an_abort_do_not_swallow_it():
     requests.at_abort(lambda: others.append("done"))
     assert requests.request("abort") is None
     assert others == ["done"]
-    assert requests.command() == "abort"
+    assert requests.command() == Wish("abort")
 
 
 def test_who_comes_after_the_abort_acts_at_once():
@@ -93,7 +93,6 @@ def test_who_comes_after_the_abort_acts_at_once():
         ([], [], "accept", "nothing waits"),
         ([], [], "resume", "not paused"),
         (["shot"], ["pause"], "pause", "paused already"),
-        (["shot"], ["pause"], "retake", "continue first"),
         ([], ["abort"], "pause", "ending"),
         (["end"], [], "pause", "ending"),
         (["aborted"], [], "abort", "over"),
@@ -115,11 +114,74 @@ def test_wishes_come_in_their_order():
     requests.told({"event": "shot"})
     for do in ("retake", "pause"):
         assert requests.request(do) is None
-    assert [requests.command() for _ in range(3)] == ["retake", "pause", None]
+    assert [requests.command() for _ in range(3)] == [Wish("retake"), Wish("pause"), None]
     for do in ("resume", "retake", "pause"):
         assert requests.request(do) is None
-    assert [requests.command() for _ in range(4)] == ["resume", "retake", "pause", None]
-    assert requests.possible == ("resume", "abort")
+    wishes = [Wish("resume"), Wish("retake"), Wish("pause"), None]
+    assert [requests.command() for _ in range(4)] == wishes
+    assert requests.possible == ("retake", "resume", "abort")
+
+
+def test_a_retake_is_of_the_pattern_that_is_named_or_was_shown_last():
+    requests = Requests()
+    for event, pattern in (("lit", "full"), ("shot", "full"), ("lit", "x+")):
+        requests.told({"event": event, "pattern": pattern})
+    assert requests.request("retake", "full") is None
+    assert requests.request("retake", "full") == "it is asked for already"
+    assert requests.request("retake") is None
+    assert "no pattern 'y+' was taken" in requests.request("retake", "y+")
+    # In the gap before the next light, the one that was shown is meant, not the next one.
+    requests.told({"event": "shot", "pattern": "x+"})
+    assert requests.shown == "x+"
+    wishes = [Wish("retake", "full"), Wish("retake", "x+"), None]
+    assert [requests.command() for _ in range(3)] == wishes
+
+
+def test_a_retake_that_comes_after_the_last_pattern_is_refused_and_not_forgotten():
+    requests = Requests()
+    requests.told({"event": "begin", "sequence": ["full", "x+"]})
+    for pattern in ("full", "x+"):
+        requests.told({"event": "lit", "pattern": pattern})
+        if pattern == "x+":
+            assert requests.request("retake") is None
+            assert requests.command() == Wish("retake", "x+")
+        requests.told({"event": "shot", "pattern": pattern})
+    assert "all patterns are done" in requests.request("retake")
+    assert "retake" not in requests.possible
+    requests.told({"event": "rejected", "pattern": "x+", "camera": "cam0"})
+    assert requests.request("retake", "full") is None
+
+
+def test_a_retake_is_heard_in_a_pause_too():
+    requests = Requests()
+    requests.told({"event": "lit", "pattern": "x+"})
+    requests.told({"event": "shot", "pattern": "x+"})
+    for do in ("pause", "retake", "resume"):
+        assert requests.request(do) is None
+    wishes = [Wish("pause"), Wish("retake", "x+"), Wish("resume")]
+    assert [requests.command() for _ in range(2)] == [wishes[1], None]  # the pause was taken back
+    for do in ("pause", "retake"):
+        assert requests.request(do) is None
+    assert requests.command() == wishes[0]
+    assert requests.possible == ("retake", "resume", "abort")
+    assert requests.command() == wishes[1]
+    assert requests.request("resume") is None
+    assert requests.command() == wishes[2]
+
+
+def test_an_answer_to_another_question_than_the_one_that_waits_is_refused():
+    requests, got = Requests(), []
+    requests.told({"event": "asked", "pattern": "x-"})
+    choices = ("retake", "accept", "abort")
+    waiting = threading.Thread(target=lambda: got.append(requests.ask(choices)))
+    waiting.start()
+    while requests.possible != choices:
+        pass
+    assert "a question about x- waits" in requests.request("accept", "x+")
+    assert got == []
+    assert requests.request("accept", "x-") is None
+    waiting.join(10)
+    assert got == ["accept"]
 
 
 def test_a_pause_taken_back_before_it_came_to_it_is_none():
@@ -162,14 +224,15 @@ def test_no_order_of_requests_leads_to_contradictory_wishes(steps):
                 assert accepted == (step == "abort")
         else:
             wish = requests.command()
+            do = None if wish is None else wish.do
             if aborted:
-                assert wish == "abort"
+                assert do == "abort"
                 continue
-            assert wish != "accept"
-            assert wish != "retake" or (done and not paused)
-            assert wish != "pause" or not paused
-            assert wish != "resume" or paused
-            paused = wish == "pause" or (paused and wish != "resume")
+            assert do != "accept"
+            assert do != "retake" or done
+            assert do != "pause" or not paused
+            assert do != "resume" or paused
+            paused = do == "pause" or (paused and do != "resume")
 
 
 def test_clients_can_stop_a_capture_that_nobody_attends():
@@ -177,7 +240,7 @@ def test_clients_can_stop_a_capture_that_nobody_attends():
     nobody.at_abort(lambda: dark.append(True))
     assert nobody.request("abort") is None
     assert dark == [True]
-    assert nobody.command() == "abort"
+    assert nobody.command() == Wish("abort")
     assert nobody.decide([BAD], 2) == "abort"
     nobody.told({"event": "aborted"})
     assert nobody.request("abort") == "the capture is over"

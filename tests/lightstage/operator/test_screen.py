@@ -33,17 +33,17 @@ def picture(view, ask=None, columns=60, rows=24, encoding="utf-8", **more):
 
 @pytest.fixture
 def busy(story):
-    told = story(9)
-    told.begin()
-    for pattern in told.patterns[:3]:
-        told.shoot(pattern)
-    told.light("y+")
-    for camera in told.cameras[:5]:
-        told.keep("y+", camera)
-    told.expose("y+", "cam5")
+    journal = story(9)
+    journal.begin()
+    for pattern in journal.patterns[:3]:
+        journal.shoot(pattern)
+    journal.light("y+")
+    for camera in journal.cameras[:5]:
+        journal.keep("y+", camera)
+    journal.expose("y+", "cam5")
     why = "no answer within 30 s, " * 20
-    told.add("failed", pattern="y+", camera="cam8", take=1, said=why)
-    return told
+    journal.add("failed", pattern="y+", camera="cam8", take=1, said=why)
+    return journal
 
 
 @pytest.mark.parametrize("columns", [60, 80, 120, 200])
@@ -132,15 +132,15 @@ def test_findings_that_do_not_fit_are_scrolled_by_keys_to_their_end(busy):
 
 
 def test_the_seconds_until_the_lights_go_dark_are_counted_down(busy, monkeypatch):
-    told = {"pattern": "y+", "cameras": ["cam7"], "ended_in_s": 28.0}
-    busy.add("waiting", **told, lit=True, dark_in_s=3.0)
+    values = {"pattern": "y+", "cameras": ["cam7"], "ended_in_s": 28.0}
+    busy.add("waiting", **values, lit=True, dark_in_s=3.0)
     view = shown(busy.lines)
     assert "TAKING y+, cam7 late: dark in 3 s" in "\n".join(picture(view, None, 80))
     now_s = time.monotonic()
     monkeypatch.setattr(time, "monotonic", lambda: now_s + 2.0)
     assert "dark in 1 s" in "\n".join(picture(view, None, 80))
     assert re.search(r"^cam7 +LATE", "\n".join(picture(view, None, 80)), re.M)
-    view.told(busy.add("waiting", **told, lit=False))
+    view.told(busy.add("waiting", **values, lit=False))
     assert "DARK, waiting for cam7: started again in 28 s" in "\n".join(picture(view, None, 80))
     busy.expose("y+", "cam7")
     view.told(busy.lines[-1])
@@ -148,13 +148,13 @@ def test_the_seconds_until_the_lights_go_dark_are_counted_down(busy, monkeypatch
 
 
 def test_more_cameras_than_rows_show_those_that_need_somebody(story):
-    told = story(60)
-    told.begin()
-    told.light("full")
-    for camera in told.cameras[:50]:
-        told.keep("full", camera)
-    told.add("failed", pattern="full", camera="cam57", take=1, said="gone")
-    lines = picture(shown(told.lines), rows=24)
+    journal = story(60)
+    journal.begin()
+    journal.light("full")
+    for camera in journal.cameras[:50]:
+        journal.keep("full", camera)
+    journal.add("failed", pattern="full", camera="cam57", take=1, said="gone")
+    lines = picture(shown(journal.lines), rows=24)
     text = "\n".join(lines)
     assert len(lines) < 24
     assert re.search(r"cam57 +FAILED", text)
@@ -162,13 +162,13 @@ def test_more_cameras_than_rows_show_those_that_need_somebody(story):
 
 
 def test_cameras_that_failed_and_do_not_fit_are_counted(story):
-    told = story(9)
-    told.begin()
-    told.light("full")
-    lines = [told.not_taken("full", camera, "it is gone") for camera in told.cameras]
-    told.add("asked", pattern="full")
+    journal = story(9)
+    journal.begin()
+    journal.light("full")
+    lines = [journal.not_taken("full", camera, "it is gone") for camera in journal.cameras]
+    journal.add("asked", pattern="full")
     rows = picture(
-        shown(told.lines), Ask([said(line) for line in lines], ("retake", "abort")), 60, 15
+        shown(journal.lines), Ask([said(line) for line in lines], ("retake", "abort")), 60, 15
     )
     assert len(rows) < 15
     in_view = sum("FAILED" in row and row.startswith("cam") for row in rows)
@@ -177,12 +177,12 @@ def test_cameras_that_failed_and_do_not_fit_are_counted(story):
 
 
 def test_of_a_camera_that_failed_what_looked_well_before_is_not_shown(story):
-    told = story(9)
-    told.begin()
-    told.light("full")
+    journal = story(9)
+    journal.begin()
+    journal.light("full")
     for camera in ("cam0", "cam8"):
-        told.not_taken("full", camera, "it is gone")
-    lines = picture(shown(told.lines), None, 80, 40)
+        journal.not_taken("full", camera, "it is gone")
+    lines = picture(shown(journal.lines), None, 80, 40)
     cells = {line.split()[0]: line.split()[2:4] for line in lines if line.startswith("cam")}
     assert cells["cam0"] == ["-", "-"]
     assert cells["cam8"] == ["18%!", "-"]  # a low battery may be why
@@ -190,18 +190,18 @@ def test_of_a_camera_that_failed_what_looked_well_before_is_not_shown(story):
 
 
 def test_what_was_accepted_has_a_sign_of_its_own_and_rare_signs_are_explained_where_they_are(story):
-    told = story(9)
-    told.begin()
-    told.shoot("full")
-    told.light("x+")
-    told.keep("x+", "cam1", 4)
-    before = "\n".join(picture(shown(told.lines), None, 80, 40))
+    journal = story(9)
+    journal.begin()
+    journal.shoot("full")
+    journal.light("x+")
+    journal.keep("x+", "cam1", 4)
+    before = "\n".join(picture(shown(journal.lines), None, 80, 40))
     assert "accepted" not in before
     assert "2..9 which take" in before
-    told.keep("x+", "cam0")
-    told.add("finding", severity="retake", code="bright", pattern="x+", camera="cam0", found="x")
-    told.add("accepted", pattern="x+", findings=[{}])
-    lines = picture(shown(told.lines), None, 80, 40)
+    journal.keep("x+", "cam0")
+    journal.add("finding", severity="retake", code="bright", pattern="x+", camera="cam0", found="x")
+    journal.add("accepted", pattern="x+", findings=[{}])
+    lines = picture(shown(journal.lines), None, 80, 40)
     rows = {line.split()[0]: line for line in lines if line.startswith("cam")}
     assert re.search(r"✓ +a +·", rows["cam0"])
     assert re.search(r"✓ +4 +·", rows["cam1"])
@@ -210,22 +210,22 @@ def test_what_was_accepted_has_a_sign_of_its_own_and_rare_signs_are_explained_wh
 
 @pytest.mark.parametrize(("columns", "said"), [(60, "7 patterns, 1 done"), (56, "1 of 7 done")])
 def test_the_count_above_the_signs_says_of_what(story, columns, said):
-    told = story(9)
-    told.begin()
-    told.shoot("full")
-    lines = picture(shown(told.lines), None, columns, 24)
+    journal = story(9)
+    journal.begin()
+    journal.shoot("full")
+    lines = picture(shown(journal.lines), None, columns, 24)
     assert max(map(len, lines)) <= columns
     (head,) = (line for line in lines if line.startswith("Camera"))
     assert head.endswith(said)
 
 
 def test_a_long_sequence_is_shown_around_the_present_pattern(story):
-    told = story(9, [f"olat-{i:03}" for i in range(168)])
-    told.begin()
-    for pattern in told.patterns[:100]:
-        told.shoot(pattern)
-    told.light("olat-100")
-    lines = picture(shown(told.lines), None, 80)
+    journal = story(9, [f"olat-{i:03}" for i in range(168)])
+    journal.begin()
+    for pattern in journal.patterns[:100]:
+        journal.shoot(pattern)
+    journal.light("olat-100")
+    lines = picture(shown(journal.lines), None, 80)
     row = next(line for line in lines if line.startswith("cam3"))
     assert max(map(len, lines)) <= 80
     assert "▶" in row
@@ -264,18 +264,18 @@ def test_no_color_is_respected(busy, monkeypatch):
 
 
 def test_lights_that_do_not_acknowledge_are_said(story):
-    told = story(2)
-    told.begin()
-    told.add("lit", pattern="full", acknowledged=False)
-    assert "! NOT acknowledged" in "\n".join(picture(shown(told.lines)))
+    journal = story(2)
+    journal.begin()
+    journal.add("lit", pattern="full", acknowledged=False)
+    assert "! NOT acknowledged" in "\n".join(picture(shown(journal.lines)))
 
 
 def test_what_devices_say_is_no_markup_and_no_control_code(story):
-    told = story(2)
-    told.cameras = ["[bold]x[/bold]", "\x1b[31mred"]
-    told.begin()
-    told.add("failed", pattern="[link=http://x]", camera="\x1b[31mred", said="[/] \x1b[2J \x07")
-    lines = picture(shown(told.lines), None, 120, 40)
+    journal = story(2)
+    journal.cameras = ["[bold]x[/bold]", "\x1b[31mred"]
+    journal.begin()
+    journal.add("failed", pattern="[link=http://x]", camera="\x1b[31mred", said="[/] \x1b[2J \x07")
+    lines = picture(shown(journal.lines), None, 120, 40)
     text = "\n".join(lines)
     assert "\x1b" not in text
     assert "\x07" not in text
@@ -283,14 +283,14 @@ def test_what_devices_say_is_no_markup_and_no_control_code(story):
 
 
 def test_each_end_is_told(story, replay):
-    told = story(2)
+    journal = story(2)
     assert "being checked" in "\n".join(picture(View("S"), Ask()))
-    told.begin()
-    told.shoot("full")
-    told.add("note", said="paused, the lights are dark")
-    assert "DARK (paused)" in "\n".join(picture(shown(told.lines)))
-    told.add("aborted", said="capture: found the operator's wish to end it")
-    text = " ".join(" ".join(picture(shown(told.lines), Ask())).split())
+    journal.begin()
+    journal.shoot("full")
+    journal.add("note", said="paused, the lights are dark")
+    assert "DARK (paused)" in "\n".join(picture(shown(journal.lines)))
+    journal.add("aborted", said="capture: found the operator's wish to end it")
+    text = " ".join(" ".join(picture(shown(journal.lines), Ask())).split())
     assert "STOPPED" in text
     assert "DARK (stopped)" in text
     assert "lightstage capture --resume --out sessions/P1" in text

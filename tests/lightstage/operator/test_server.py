@@ -78,7 +78,7 @@ def writing(tmp_path, runtime):
     return Writing(tmp_path)
 
 
-def accept(do):
+def accept(do, pattern=""):
     return None
 
 
@@ -198,18 +198,18 @@ def test_a_cut_line_of_an_earlier_process_is_passed_over(writing):
 def test_requests_are_passed_on_and_answered(writing):
     asked = []
 
-    def request(do):
-        asked.append(do)
+    def request(do, pattern):
+        asked.append((do, pattern))
         return None if do == "abort" else "no pattern is done yet"
 
     with serving(writing, request) as server:
         client = Client(server.path)
-        client.send({"do": "retake"})
+        client.send({"do": "retake", "pattern": "x+"})
         why = "no pattern is done yet"
         assert client.line() == {"answer": "retake", "accepted": False, "why": why}
         client.send({"do": "abort"})
         assert client.line() == {"answer": "abort", "accepted": True}
-    assert asked == ["retake", "abort"]
+    assert asked == [("retake", "x+"), ("abort", "")]
 
 
 @pytest.mark.parametrize(

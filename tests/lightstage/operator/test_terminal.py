@@ -14,7 +14,7 @@ from rich.console import Console
 
 from lightstage.errors import DeviceError
 from lightstage.findings import Finding
-from lightstage.operator import OperatorConfig, TerminalOperator, open_operator
+from lightstage.operator import OperatorConfig, TerminalOperator, Wish, open_operator
 from lightstage.operator.screen import Ask, Screen
 from lightstage.operator.view import View
 
@@ -56,8 +56,8 @@ LOOP = """
             while True:
                 wish = operator.command()
                 if wish is not None:
-                    light(wish)
-                if wish == "abort":
+                    light(wish.do)
+                if wish is not None and wish.do == "abort":
                     raise StoppedError("the operator's wish")
                 time.sleep(0.01)
 """
@@ -67,7 +67,7 @@ DEAF = """
                 while not (wish := operator.command()):
                     time.sleep(0.01)
                 time.sleep(0.5)
-                light(wish)
+                light(wish.do)
 """
 STUCK = "threading.Event().wait()"
 ASK = """
@@ -182,7 +182,7 @@ def test_keys_are_wishes_and_what_makes_no_sense_is_said(capture):
     terminal, lights = capture(LOOP)
     terminal.wait_for("this pattern again")
     terminal.press("r")
-    terminal.wait_for("taken again once it is done")
+    terminal.wait_for("x+ will be taken again next")
     terminal.wait_until(lambda: "retake" in lights.read_text(), "no retake")
     terminal.press("a")
     terminal.wait_for("Not now: nothing waits to be accepted")
@@ -240,12 +240,12 @@ def pictured(told, columns, rows):
     ids=["grows", "shrinks-and-grows", "many"],
 )
 def test_after_a_resize_the_whole_screen_is_right(capture, story, sizes):
-    told = begun(story(9))
-    told.add("failed", pattern="x+", camera="cam8", take=1, said="no answer within 30 s, " * 20)
-    terminal, _ = capture(LOOP, told, columns=100, rows=30)
+    journal = begun(story(9))
+    journal.add("failed", pattern="x+", camera="cam8", take=1, said="no answer within 30 s, " * 20)
+    terminal, _ = capture(LOOP, journal, columns=100, rows=30)
     for columns, rows in [(100, 30), *sizes]:
         terminal.resize(columns, rows)
-        wanted = pictured(told, columns, rows)
+        wanted = pictured(journal, columns, rows)
         terminal.wait_until(
             lambda wanted=wanted: terminal.emulator.screen == wanted,
             lambda wanted=wanted: "\n".join(["not", *wanted, "but", *terminal.emulator.screen]),
@@ -267,10 +267,10 @@ def test_what_others_say_meanwhile_stands_below_the_last_picture(capture):
     terminal.wait_for("a library warns")
     emulator = terminal.emulator
     assert not emulator.alternate
-    said = next(i for i, line in enumerate(emulator.history) if "a library warns" in line)
+    text = next(i for i, line in enumerate(emulator.history) if "a library warns" in line)
     picture = [i for i, line in enumerate(emulator.history) if line.startswith("cam2 ")]
     assert len(picture) == 1
-    assert picture[0] < said
+    assert picture[0] < text
 
 
 def plain(operator_does, replay, **more):
@@ -296,7 +296,7 @@ def test_a_log_gets_plain_lines_without_control_codes(replay):
 
 
 def test_a_log_of_a_resumed_capture_begins_where_it_goes_on(replay):
-    def tell(operator):
+    def report(operator):
         operator.told({"event": "resume", "time_utc": "2031-05-06T11:00:00"})
         operator.told(replay[-1])
 
@@ -304,7 +304,7 @@ def test_a_log_of_a_resumed_capture_begins_where_it_goes_on(replay):
     with TerminalOperator(Console(file=file, width=40), "S/1") as operator:
         for line in replay[:-1]:
             operator.told(line, old=True)
-        tell(operator)
+        report(operator)
     assert [line[9:] for line in file.getvalue().splitlines()] == [
         "The session goes on where it stopped.",
         "+ The session is complete: 63 photographs.",
@@ -340,7 +340,7 @@ def test_clients_can_answer_what_the_terminal_asks():
         operator.at_abort(fail)
         assert operator.request("abort") is None
         assert dark == [True]
-        assert operator.command() == "abort"
+        assert operator.command() == Wish("abort")
         assert operator.decide([BAD], 1) == "abort"
     os.close(asked)
     os.close(other)
@@ -361,12 +361,12 @@ def test_a_reader_who_has_stopped_does_not_hold_a_capture(replay):
 
 
 def test_a_terminal_without_unicode_is_told_all_the_same(story):
-    told = story(1)
-    told.begin()
-    told.add("failed", pattern="full", camera="cam0", said="日本 " * 200)
+    journal = story(1)
+    journal.begin()
+    journal.add("failed", pattern="full", camera="cam0", said="日本 " * 200)
     file = io.TextIOWrapper(io.BytesIO(), encoding="ascii", write_through=True)
     with TerminalOperator(Console(file=file), "S") as operator:
-        for line in told.lines:
+        for line in journal.lines:
             operator.told(line)
     file.seek(0)
     assert "full, cam0: ??" in file.read()

@@ -32,131 +32,131 @@ def test_a_whole_capture_is_complete_in_the_end(replay):
 
 
 def test_each_step_of_a_shot_is_seen(story):
-    told = story(3)
-    told.begin()
-    view = shown(told.lines)
+    journal = story(3)
+    journal.begin()
+    view = shown(journal.lines)
 
     def states():
-        for line in told.lines[view.last_id :]:
+        for line in journal.lines[view.last_id :]:
             view.told(line)
         return [camera.state for camera in view.cameras.values()]
 
     assert states() == ["idle"] * 3
-    told.light("full", cameras=["cam0", "cam1"])
+    journal.light("full", cameras=["cam0", "cam1"])
     assert states() == ["triggering", "triggering", "idle"]
     assert view.pattern == "full"
-    told.expose("full", "cam0")
+    journal.expose("full", "cam0")
     assert states() == ["downloading", "triggering", "idle"]
-    told.keep("full", "cam0")
-    told.add("failed", pattern="full", camera="cam1", take=1, said="gone")
+    journal.keep("full", "cam0")
+    journal.add("failed", pattern="full", camera="cam1", take=1, said="gone")
     assert states() == ["kept", "failed", "idle"]
     assert view.marks == {"full": {"cam0": "kept", "cam1": "failed"}}
-    told.add("note", camera="cam1", said="restarting")
+    journal.add("note", camera="cam1", said="restarting")
     assert states()[1] == "restarting"
-    told.add("note", camera="cam1", said="started again")
+    journal.add("note", camera="cam1", said="started again")
     assert states()[1] == "idle"
 
 
 def test_a_rejected_take_does_not_count(story):
-    told = story(2)
-    told.begin()
-    told.shoot("full")
-    told.add("rejected", pattern="full", camera="cam1", take=1, why="blurred")
-    view = shown(told.lines)
+    journal = story(2)
+    journal.begin()
+    journal.shoot("full")
+    journal.add("rejected", pattern="full", camera="cam1", take=1, why="blurred")
+    view = shown(journal.lines)
     assert view.kept == 1
     assert view.marks["full"]["cam1"] == "again"
     assert view.done == set()
 
 
 def test_a_retake_is_told_beside_the_first_take(story):
-    told = story(2)
-    told.begin()
-    told.shoot("full")
-    told.add("rejected", pattern="full", camera="cam1", take=1, why="blurred")
-    told.light("full", 2, ["cam1"])
-    told.keep("full", "cam1", 2)
-    told.add("shot", pattern="full")
-    view = shown(told.lines)
+    journal = story(2)
+    journal.begin()
+    journal.shoot("full")
+    journal.add("rejected", pattern="full", camera="cam1", take=1, why="blurred")
+    journal.light("full", 2, ["cam1"])
+    journal.keep("full", "cam1", 2)
+    journal.add("shot", pattern="full")
+    view = shown(journal.lines)
     assert view.kept == 2
     assert view.takes == {("full", "cam1"): 2}
 
 
 def test_time_left_is_that_of_the_shots_so_far(story):
-    told = story(2)
-    told.begin()
-    assert shown(told.lines).left_s() is None
-    for pattern in told.patterns[:4]:
-        told.shoot(pattern)
-    first = next(line["elapsed_s"] for line in told.lines if line["event"] == "lit")
-    shots = [first] + [line["elapsed_s"] for line in told.lines if line["event"] == "shot"]
+    journal = story(2)
+    journal.begin()
+    assert shown(journal.lines).left_s() is None
+    for pattern in journal.patterns[:4]:
+        journal.shoot(pattern)
+    first = next(line["elapsed_s"] for line in journal.lines if line["event"] == "lit")
+    shots = [first] + [line["elapsed_s"] for line in journal.lines if line["event"] == "shot"]
     gaps = sorted(after - before for before, after in itertools.pairwise(shots))
     wanted = 3 * (gaps[1] + gaps[2]) / 2
-    assert abs(shown(told.lines).left_s() - wanted) < 1e-9
+    assert abs(shown(journal.lines).left_s() - wanted) < 1e-9
 
 
 def test_one_slow_shot_or_a_pause_does_not_change_the_time_left(story):
-    told = story(2)
-    told.begin()
-    for pattern in told.patterns[:3]:
-        told.shoot(pattern)
-    each_s = shown(told.lines).left_s() / 4
-    told.add("note", said="paused, the lights are dark")
-    told.s += 3600
-    told.shoot(told.patterns[3])
-    assert abs(shown(told.lines).left_s() - 3 * each_s) < 1.0
+    journal = story(2)
+    journal.begin()
+    for pattern in journal.patterns[:3]:
+        journal.shoot(pattern)
+    each_s = shown(journal.lines).left_s() / 4
+    journal.add("note", said="paused, the lights are dark")
+    journal.s += 3600
+    journal.shoot(journal.patterns[3])
+    assert abs(shown(journal.lines).left_s() - 3 * each_s) < 1.0
 
 
 def test_a_shot_in_which_a_camera_failed_is_no_measure_where_there_is_another(story):
-    told = story(2)
-    told.begin()
-    told.light("full")
-    told.keep("full", "cam0")
-    told.s += 25.0  # it is started again
-    told.not_taken("full", "cam1", "it is gone")
-    told.light("full", 2, ["cam1"])
-    told.keep("full", "cam1", 2)
-    told.add("shot", pattern="full")
-    assert shown(told.lines).left_s() > 6 * 25.0
-    told.shoot("x+")
-    assert shown(told.lines).left_s() < 5 * 3.0
+    journal = story(2)
+    journal.begin()
+    journal.light("full")
+    journal.keep("full", "cam0")
+    journal.s += 25.0  # it is started again
+    journal.not_taken("full", "cam1", "it is gone")
+    journal.light("full", 2, ["cam1"])
+    journal.keep("full", "cam1", 2)
+    journal.add("shot", pattern="full")
+    assert shown(journal.lines).left_s() > 6 * 25.0
+    journal.shoot("x+")
+    assert shown(journal.lines).left_s() < 5 * 3.0
 
 
 def test_a_resumed_capture_goes_on_from_what_is_kept(story):
-    told = story(2)
-    told.begin()
-    told.shoot("full")
-    told.light("x+")
-    told.keep("x+", "cam0")
-    told.add("aborted", said="Ctrl-C")
-    view = shown(told.lines)
+    journal = story(2)
+    journal.begin()
+    journal.shoot("full")
+    journal.light("x+")
+    journal.keep("x+", "cam0")
+    journal.add("aborted", said="Ctrl-C")
+    view = shown(journal.lines)
     assert view.phase == "aborted"
     assert view.pattern is None
-    told.s = 0.0
-    told.add("resume", schema="lightstage.journal/2")
-    told.light("x+", 2, ["cam1"])
-    told.keep("x+", "cam1", 2)
-    told.add("shot", pattern="x+")
-    view = shown(told.lines)
+    journal.s = 0.0
+    journal.add("resume", schema="lightstage.journal/2")
+    journal.light("x+", 2, ["cam1"])
+    journal.keep("x+", "cam1", 2)
+    journal.add("shot", pattern="x+")
+    view = shown(journal.lines)
     assert view.phase == "running"
     assert view.kept == 4
     assert view.left_s() > 0
 
 
 def test_a_capture_killed_in_the_middle_has_nothing_under_way_after_its_resume(story):
-    told = story(2)
-    told.begin()
-    told.light("full")
-    told.add("resume")
-    view = shown(told.lines)
+    journal = story(2)
+    journal.begin()
+    journal.light("full")
+    journal.add("resume")
+    view = shown(journal.lines)
     assert view.marks == {"full": {"cam0": "again", "cam1": "again"}}
     assert {camera.state for camera in view.cameras.values()} == {"idle"}
 
 
 def test_a_card_loses_what_is_put_on_it(story):
-    told = story(1)
-    told.begin()
-    told.shoot("full")
-    free = shown(told.lines).cameras["cam0"].card_free_bytes
+    journal = story(1)
+    journal.begin()
+    journal.shoot("full")
+    free = shown(journal.lines).cameras["cam0"].card_free_bytes
     assert free == 61_000_000_000 - 24_300_000
 
 
@@ -168,15 +168,15 @@ def test_a_replay_gives_what_was_seen_live(replay):
 
 
 def test_lights_that_do_not_acknowledge_are_known(story):
-    told = story(1)
-    told.begin()
-    told.add("lit", pattern="full", acknowledged=False)
-    assert shown(told.lines).acknowledged is False
+    journal = story(1)
+    journal.begin()
+    journal.add("lit", pattern="full", acknowledged=False)
+    assert shown(journal.lines).acknowledged is False
 
 
 def test_the_time_that_somebody_thinks_is_no_measure_of_what_is_left(story):
-    told, quick = story(2), story(2)
-    for each, thinks_s in ((told, 900.0), (quick, 0.0)):
+    journal, quick = story(2), story(2)
+    for each, thinks_s in ((journal, 900.0), (quick, 0.0)):
         each.begin()
         each.shoot("full")
         each.light("x+")
@@ -184,7 +184,7 @@ def test_the_time_that_somebody_thinks_is_no_measure_of_what_is_left(story):
         each.add("answered", thinks_s, pattern="x+", do="retake")
         each.shoot("x+")
     left = []
-    for each in (told, quick):
+    for each in (journal, quick):
         view = View()
         for line in each.lines:
             view.told(line)
@@ -193,68 +193,101 @@ def test_the_time_that_somebody_thinks_is_no_measure_of_what_is_left(story):
 
 
 def test_the_time_for_which_a_camera_that_hangs_is_waited_for_is_counted_and_no_measure(story):
-    told, quick = story(2), story(2)
-    for each, hangs_s in ((told, 30.0), (quick, 0.0)):
+    journal, quick = story(2), story(2)
+    for each, hangs_s in ((journal, 30.0), (quick, 0.0)):
         each.begin()
         each.light("full")
         each.add("waiting", 1.0, pattern="full", cameras=["cam1"], lit=False, ended_in_s=hangs_s)
         each.add("lit", hangs_s, pattern="full")
         each.add("shot", pattern="full")
     views = [View(), View()]
-    for view, each in zip(views, (told, quick), strict=True):
+    for view, each in zip(views, (journal, quick), strict=True):
         for line in each.lines:
             view.told(line)
     assert views[0].left_s() == pytest.approx(views[1].left_s())
     usual_s = views[0].left_s()
-    views[0].told(told.add("waiting", pattern="x+", cameras=["cam1"], lit=False, ended_in_s=30.0))
+    views[0].told(
+        journal.add("waiting", pattern="x+", cameras=["cam1"], lit=False, ended_in_s=30.0)
+    )
     assert views[0].left_s() == pytest.approx(usual_s + 30.0, abs=2.0)
 
 
 def test_a_kept_photograph_that_is_asked_about_is_in_question_until_it_is_decided(story):
-    told = story(2)
-    told.begin()
-    told.light("full")
-    told.keep("full", "cam0")
-    told.keep("full", "cam1")
-    told.add("finding", severity="retake", code="blur", pattern="full", camera="cam1", found="x")
+    journal = story(2)
+    journal.begin()
+    journal.light("full")
+    journal.keep("full", "cam0")
+    journal.keep("full", "cam1")
+    journal.add("finding", severity="retake", code="blur", pattern="full", camera="cam1", found="x")
     views = [View(), View()]
     for view in views:
-        for line in told.lines:
+        for line in journal.lines:
             view.told(line)
         assert [view.mark("full", camera) for camera in view.cameras] == ["kept", "in question"]
         assert view.cameras["cam1"].state == "in question"
         assert view.kept == 2
-    views[0].told(told.add("accepted", pattern="full", findings=[{}]))
+    views[0].told(journal.add("accepted", pattern="full", findings=[{}]))
     assert (views[0].mark("full", "cam1"), views[0].cameras["cam1"].state) == ("accepted", "kept")
-    views[1].told(told.add("rejected", pattern="full", camera="cam1", take=1))
+    views[1].told(journal.add("rejected", pattern="full", camera="cam1", take=1))
     assert views[1].mark("full", "cam1") == "again"
 
 
 def test_what_holds_only_while_a_capture_runs_is_not_said_at_its_end(story):
-    told = story(2)
-    told.begin()
-    told.add("note", said="others can follow", socket="/run/1.sock")
-    told.add("note", camera="cam0", said="restarting")
+    journal = story(2)
+    journal.begin()
+    journal.add("note", said="others can follow", socket="/run/1.sock")
+    journal.add("note", camera="cam0", said="restarting")
     view = View()
-    for line in told.lines:
+    for line in journal.lines:
         view.told(line)
     assert ["follow" in words.text for words in view.news if words.text][-1]
     assert not any("restarting" in words.text for words in view.news)
-    view.told(told.add("aborted", said="Stopped by the operator."))
+    view.told(journal.add("aborted", said="Stopped by the operator."))
     assert not any("follow" in words.text for words in view.news)
     assert any("Stopped" in words.text for words in view.news)
-    view.told(told.add("resume"))
+    view.told(journal.add("resume"))
     assert not any("Stopped" in words.text for words in view.news)
 
 
 def test_while_a_question_waits_it_is_dark_and_waits_for_the_operator(story):
-    told = story(2)
-    told.begin()
-    told.light("x+")
-    told.add("asked", pattern="x+")
+    journal = story(2)
+    journal.begin()
+    journal.light("x+")
+    journal.add("asked", pattern="x+")
     view = View()
-    for line in told.lines:
+    for line in journal.lines:
         view.told(line)
     assert (view.phase, view.pattern) == ("asked", None)
-    view.told(told.add("answered", pattern="x+", do="retake"))
+    view.told(journal.add("answered", pattern="x+", do="retake"))
     assert view.phase == "running"
+
+
+def test_what_was_accepted_is_no_news_once_its_photograph_is_taken_again(story):
+    told = story(1)
+    told.begin()
+    told.light("full", cameras=["cam0"])
+    told.expose("full", "cam0")
+    told.keep("full", "cam0")
+    told.add("finding", severity="warn", code="clipped", pattern="full", camera="cam0", found="x")
+    told.add("accepted", pattern="full", findings=[{"code": "clipped"}])
+    told.add("end", frames=1, capture={"accepted": 1, "accepted_findings": 1})
+    view = shown(told.lines)
+    assert [words.tone for words in view.news].count("warning") == 2
+    told.add("resume")
+    told.add("retake", takes=[["full", "cam0", 1]])
+    view = shown(told.lines)
+    assert not any(words.tone == "warning" for words in view.news)
+    assert not any("complete" in words.text for words in view.news)
+    assert view.mark("full", "cam0") == "again"
+
+
+def test_a_question_about_the_same_pattern_is_counted(story):
+    told = story(1)
+    told.begin()
+    for times in (1, 2):
+        told.light("full", cameras=["cam0"])
+        told.add("asked", pattern="full", findings=[])
+        view = shown(told.lines)
+        assert (view.asked, view.asked_times, view.shown) == ("full", times, "full")
+        told.add("answered", pattern="full", do="retake")
+    assert shown(told.lines).asked == ""

@@ -45,7 +45,7 @@ with serve_events(writer, operator.request):
         writer.note(line.pop("event"), **line)
         wish = operator.command()
         if wish is not None:
-            writer.note("note", said=f"the operator wishes: {wish}")
+            writer.note("note", said=f"the operator wishes: {wish.do}")
 """
 
 
@@ -133,22 +133,22 @@ def test_a_running_capture_is_followed_live_to_its_end_and_each_line_comes_once(
     tmp_path, replay, capturing
 ):
     running = capturing()
-    told = [{k: v for k, v in line.items() if k not in ("id", "elapsed_s")} for line in replay]
-    running.write(*told[:20])
+    stated = [{k: v for k, v in line.items() if k not in ("id", "elapsed_s")} for line in replay]
+    running.write(*stated[:20])
     got, followers = {}, []
     for number in range(4):
         followers.append(
             threading.Thread(target=lambda n=number: got.update({n: list(follow(tmp_path))}))
         )
         followers[-1].start()
-        running.write(*told[20 + number * 20 : 40 + number * 20])
-    running.write(*told[100:])
+        running.write(*stated[20 + number * 20 : 40 + number * 20])
+    running.write(*stated[100:])
     running.end()
     for follower in followers:
         follower.join(60)
     for lines in got.values():
-        assert [line["id"] for line in lines] == list(range(1, len(told) + 2))
-        assert bare(lines)[1:] == told
+        assert [line["id"] for line in lines] == list(range(1, len(stated) + 2))
+        assert bare(lines)[1:] == stated
     assert len(got) == 4
 
 
@@ -241,7 +241,7 @@ def test_waiting_ends_by_ctrl_c_and_by_its_option(tmp_path):
 
 def test_what_cannot_be_watched_or_asked_is_one_message(tmp_path, replay, written):
     journal = written(tmp_path / "journal.jsonl", replay)
-    for more, said in (
+    for more, message in (
         ((tmp_path, "--do", "dance"), "found 'dance', expected one of retake, accept, abort"),
         ((tmp_path / "no", "--do", "dance"), "found 'dance', expected one of retake"),
         ((journal,), f"{journal}: found a file, expected a session's folder"),
@@ -250,15 +250,15 @@ def test_what_cannot_be_watched_or_asked_is_one_message(tmp_path, replay, writte
     ):
         done = watch(*more)
         assert done.returncode == 2
-        assert said in done.stderr
+        assert message in done.stderr
         assert done.stderr.count("\n") == 1
 
 
 def test_what_was_stopped_ends_with_the_line_that_goes_on(tmp_path, story, written):
-    told = story(2)
-    told.begin()
-    told.add("aborted", said="Stopped by the operator.", resume_with=["--leds", "socket://x:1"])
-    written(tmp_path / "journal.jsonl", told.lines)
+    journal = story(2)
+    journal.begin()
+    journal.add("aborted", said="Stopped by the operator.", resume_with=["--leds", "socket://x:1"])
+    written(tmp_path / "journal.jsonl", journal.lines)
     done = watch(tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.endswith(
@@ -282,18 +282,18 @@ def test_a_picture_of_any_moment_can_be_written(tmp_path, replay, written):
 def test_a_picture_of_a_question_shows_what_was_asked_and_could_be_answered(
     tmp_path, story, written, code
 ):
-    told = story(2)
-    told.begin()
-    told.light("full")
-    told.keep("full", "cam0")
+    journal = story(2)
+    journal.begin()
+    journal.light("full")
+    journal.keep("full", "cam0")
     found = {
         "severity": "retake", "code": code, "where": "full by cam1", "found": "nothing sharp",
         "expected": "an eye", "hint": "", "pattern": "full", "camera": "cam1",
     }  # fmt: skip
-    told.add("asked", pattern="full", findings=[found])
-    asked = told.lines[-1]["id"]
-    told.add("answered", pattern="full", do="retake")
-    written(tmp_path / "journal.jsonl", told.lines)
+    journal.add("asked", pattern="full", findings=[found])
+    asked = journal.lines[-1]["id"]
+    journal.add("answered", pattern="full", do="retake")
+    written(tmp_path / "journal.jsonl", journal.lines)
     path = tmp_path / "p.svg"
     assert watch(tmp_path, "--picture", path, "--until", asked).returncode == 0
     text = " ".join(html.unescape(re.sub(r"<[^>]*>", " ", path.read_text())).split())
@@ -323,15 +323,15 @@ def test_a_watcher_at_a_terminal_sees_the_picture_and_leaves_by_q(
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "message"),
     [(["--until", "3"], "--picture beside it"), (["--until", "999", "--picture"], "at most ")],
 )
-def test_a_moment_that_cannot_be_drawn_is_refused(tmp_path, replay, capturing, more, said):
+def test_a_moment_that_cannot_be_drawn_is_refused(tmp_path, replay, capturing, more, message):
     running = capturing()
     running.write(*bare(replay[:5]))
     running.wait(lambda: running.journal.read_bytes().count(b"\n") >= 5)
     picture = tmp_path / "p.svg"
     done = watch(tmp_path, *more, *([str(picture)] if "--picture" in more else []))
     assert done.returncode == 2
-    assert said in done.stderr
+    assert message in done.stderr
     assert not picture.exists()

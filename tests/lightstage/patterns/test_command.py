@@ -42,9 +42,9 @@ def save_rig_with_camera(tmp_path, places):
 
 
 def test_without_a_sequence_they_are_listed():
-    said = "\n".join(run())
+    message = "\n".join(run())
     for name, shots in (("binary", 7), ("mux", 2), ("olat", 168), ("ambient", 8)):
-        assert any(line.split()[:2] == [name, str(shots)] for line in said.splitlines())
+        assert any(line.split()[:2] == [name, str(shots)] for line in message.splitlines())
 
 
 def test_a_sequence_is_told_pattern_by_pattern_with_the_evenness_of_full():
@@ -61,8 +61,8 @@ def test_lights_on_a_splitting_plane_are_told(octahedron):
     facts = json.loads(run("x+,lin-y-,mux-1,full", "--rig", octahedron, "--json")[-1])
     assert facts["on_plane"] == {"x": [1, 2, 4, 5], "y": [0, 2, 3, 5], "z": [0, 1, 3, 4]}
     assert [row["on_plane"] for row in facts["patterns"]] == [4, 4, 6, 0]
-    told = [line for line in run("x+", "--rig", octahedron) if line.startswith("On the plane")]
-    assert told[0] == "On the plane x = 0, half in each of a pair: 4 lights (1, 2, 4, 5)"
+    printed = [line for line in run("x+", "--rig", octahedron) if line.startswith("On the plane")]
+    assert printed[0] == "On the plane x = 0, half in each of a pair: 4 lights (1, 2, 4, 5)"
     half = json.loads(run("x+@parallel", "--rig", octahedron, "--json")[-1])["patterns"][0]
     assert half["on_plane"] == 2  # lights 2 and 4 are of the vertical bank
 
@@ -94,7 +94,7 @@ def test_ones_own_patterns_are_listed_and_drawn(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["nope"], "unknown name"),
         (["full,full"], "twice"),
@@ -102,8 +102,8 @@ def test_ones_own_patterns_are_listed_and_drawn(tmp_path):
         (["binary", "--out", "sheet.jpg"], "found suffix '.jpg', expected .png"),
     ],
 )
-def test_bad_arguments_are_refused(arguments, said):
-    with pytest.raises(LightstageError, match=said):
+def test_bad_arguments_are_refused(arguments, message):
+    with pytest.raises(LightstageError, match=message):
         run(*arguments)
 
 

@@ -65,11 +65,11 @@ def test_colours_stand_in_the_file_and_change_no_rig_without_them(tmp_path):
     assert [*RIG.colours] == [*GAINS]
     assert all(which.sum() == 168 for which in RIG.colours.values())
     assert rig_oddities(RIG) == []
-    said = json.loads(json.dumps(rig_to_json(RIG)))
-    for light in said["lights"]:
+    facts = json.loads(json.dumps(rig_to_json(RIG)))
+    for light in facts["lights"]:
         light["colour"] = "Warm White"
     with pytest.raises(RigError, match=r"colour and 1007 more: found 'Warm White', expected small"):
-        rig_from_json(said, "rig.json")
+        rig_from_json(facts, "rig.json")
 
 
 def test_emitters_in_one_place_that_name_no_colour_are_odd():
@@ -115,15 +115,15 @@ def test_mux_by_red_green_and_blue_emitters_holds_six_gradients():
 
 
 @pytest.mark.parametrize(
-    ("rig", "names", "pattern", "said"),
+    ("rig", "names", "pattern", "message"),
     [
         (RIG, ("warm", "violet"), "full", r"--emitters: found 'violet', expected some of red, "),
         (default_rig(), ("warm",), "full", r"lights with `colour` in rig.json. All lights of this"),
         (RIG, ("warm",), "olat-000", r"olat-000: found a light of another colour, expected one of"),
     ],
 )
-def test_colours_that_cannot_be_driven_are_told(rig, names, pattern, said):
-    with pytest.raises(PatternError, match=said):
+def test_colours_that_cannot_be_driven_are_told(rig, names, pattern, message):
+    with pytest.raises(PatternError, match=message):
         plan_shots([pattern], rig, emitters=names)
 
 

@@ -32,7 +32,7 @@ def test_levels_are_taken_as_they_stand(tmp_path):
     mine = one(tmp_path, f"levels = {ramp}")
     assert mine.levels.tolist() == ramp
     assert not mine.is_field
-    assert mine.said == "167 of 168 lights"
+    assert mine.summary == "167 of 168 lights"
 
 
 def test_lights_are_chosen_by_id_and_by_name(tmp_path):
@@ -65,7 +65,7 @@ def test_an_environment_stands_beside_the_file(tmp_path):
     assert np.allclose(mine.levels, 0.5 * light_weights(RIG), rtol=0.05)
     assert mine.levels.max() == pytest.approx(0.5)
     assert mine.scale == pytest.approx(0.5 / (2.0 * 4 * np.pi / light_weights(RIG).sum()), rel=0.03)
-    assert f"level {mine.scale:.4g} for one unit" in mine.said
+    assert f"level {mine.scale:.4g} for one unit" in mine.summary
     assert not mine.is_field  # it is summed over solid angles already
 
 
@@ -74,12 +74,12 @@ def test_lights_too_faint_for_the_wire_are_told(tmp_path):
     picture[8, 16] = 6e4
     write_exr(tmp_path / "sun.exr", picture)
     mine = one(tmp_path, 'environment = "sun.exr"')
-    assert "of them too faint for the wire's steps, so dark" in mine.said
+    assert "of them too faint for the wire's steps, so dark" in mine.summary
     assert drive_levels("mine", RIG, own={"mine": mine}).max() == 1
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "found none of them, expected one of levels"),
         ("levels = [1, 0]", "levels: found 2 values, expected 168 numbers"),
@@ -119,8 +119,8 @@ def test_lights_too_faint_for_the_wire_are_told(tmp_path):
         ('level = "high"', "level: found 'high', expected float"),
     ],
 )
-def test_a_fault_is_told_with_its_place(tmp_path, text, said):
-    with pytest.raises(LightstageError, match=said):
+def test_a_fault_is_told_with_its_place(tmp_path, text, message):
+    with pytest.raises(LightstageError, match=message):
         one(tmp_path, text)
 
 

@@ -128,13 +128,13 @@ def test_a_light_set_gives_its_lights_to_their_cells_and_its_ambient_to_all(tmp_
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "message"),
     [(np.nan, "NaN or infinite"), (np.inf, "NaN or infinite"), (-0.5, "negative")],
 )
-def test_a_bad_value_is_refused_with_its_place(tmp_path, value, said):
+def test_a_bad_value_is_refused_with_its_place(tmp_path, value, message):
     picture = np.ones((8, 16, 3))
     picture[2, 5, 2] = value
-    with pytest.raises(FormatError, match=f"row 2, column 5, B: found 1 {said} value"):
+    with pytest.raises(FormatError, match=f"row 2, column 5, B: found 1 {message} value"):
         flux(tmp_path, picture, OCTAHEDRON)
 
 

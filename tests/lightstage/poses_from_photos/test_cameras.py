@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from lightstage.errors import LightstageError, MotionError
 from lightstage.exif import Exif
-from lightstage.formats.cameras import read_session_cameras, said_approximate
+from lightstage.formats.cameras import approximate_warnings, read_session_cameras
 from lightstage.formats.exr import write_exr
 from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.session import load_session
@@ -95,9 +95,9 @@ def test_the_command_makes_a_session_that_says_it_is_approximate(tmp_path: Path)
     session = load_session(tmp_path / "S")
     assert session.file.calibration.cameras == "calibration/cameras.json"
     assert [c.id for c in session.rig.cameras] == [c.id for c in cams]
-    (said,) = said_approximate(read_session_cameras(session))
-    assert "approximate" in said
-    assert "left:right=80" in said
+    (text,) = approximate_warnings(read_session_cameras(session))
+    assert "approximate" in text
+    assert "left:right=80" in text
     assert (tmp_path / "S" / "landmarks.json").is_file()
 
 
@@ -127,7 +127,7 @@ def put_other(path: Path, image: np.ndarray) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("fault", "said"),
+    ("fault", "message"),
     [
         ("two cameras", "found photographs of cam0, cam1, expected 3 cameras at least"),
         ("no length", "--length: found none"),
@@ -141,7 +141,7 @@ def put_other(path: Path, image: np.ndarray) -> Path:
     ],
 )
 def test_what_cannot_be_solved_is_refused(
-    shots: dict[str, Path], tmp_path: Path, fault: str, said: str
+    shots: dict[str, Path], tmp_path: Path, fault: str, message: str
 ) -> None:
     shots, lengths, front = dict(shots), [base()], None
     shape = (*reversed((ball.cameras()[0].width_px, ball.cameras()[0].height_px)), 3)
@@ -165,7 +165,7 @@ def test_what_cannot_be_solved_is_refused(
     else:
         shots["cam2"] = tmp_path / "cam2.exr"
         shots["cam2"].write_bytes(b"\x76\x2f\x31\x01" + b"\0" * 50)
-    with pytest.raises(LightstageError, match=said):
+    with pytest.raises(LightstageError, match=message):
         find_cameras(shots, LIGHTS, lengths, front=front)
 
 
@@ -208,14 +208,14 @@ def test_what_ends_colmap_is_told_in_one_message(
     shots: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pictures = {name: read_grey(path) for name, path in shots.items()}
-    told = dict.fromkeys(pictures, Exif())
+    exifs = dict.fromkeys(pictures, Exif())
 
     def without_job(lens: object, picture: object) -> dict[str, object]:
         return {"cameras": [], "focal_px": "wide", "open": True, "centre_px": [None, None]}
 
     monkeypatch.setattr(solving, "_job", without_job)
     with pytest.raises(MotionError, match="COLMAP ended with 1") as caught:
-        solving.solve(pictures, told)
+        solving.solve(pictures, exifs)
     assert "Traceback" not in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -227,8 +227,8 @@ def test_a_focal_length_is_begun_with_what_exif_says() -> None:
     both = Exif(focal_mm=50.0, focal_plane_px_per_mm=30.0, focal_35mm_mm=72.0)
     assert exif_focal_px(picture, both) == 1500.0
     (lens,) = shared_lenses({"a": picture}, {"a": both})
-    told = {"cameras": ("a",), "focal_px": 375.0, "open": False, "centre_px": [75.0, 50.0]}
-    assert solving._job(lens, picture) == told
+    values = {"cameras": ("a",), "focal_px": 375.0, "open": False, "centre_px": [75.0, 50.0]}
+    assert solving._job(lens, picture) == values
 
 
 def test_the_command_refuses_a_rig_together_with_a_length(tmp_path: Path) -> None:

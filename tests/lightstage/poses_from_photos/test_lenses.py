@@ -103,9 +103,9 @@ def require_right(found: FoundCameras) -> None:
 def test_another_focal_length_is_found(shots: dict[str, Path]) -> None:
     found = find(shots)
     require_right(found)
-    (said,) = found.warnings
-    assert "not taken with one focal length" in said
-    assert f"by {ODD};" in said
+    (warning,) = found.warnings
+    assert "not taken with one focal length" in warning
+    assert f"by {ODD};" in warning
     assert {lens["by"] for lens in found.facts["lenses"]} == {"found"}
 
 
@@ -141,8 +141,8 @@ def test_a_lens_that_is_none_is_named_and_not_taken(tmp_path: Path) -> None:
     found = find_cameras(
         ball.put(tmp_path, cams), default_rig().lights, [Length("cam0", "cam1", apart_mm)]
     )
-    (said,) = found.warnings
-    assert "implausible; its distortion was left out" in said
+    (warning,) = found.warnings
+    assert "implausible; its distortion was left out" in warning
     for one, true in zip(found.rig.cameras, cams, strict=True):
         assert one.dist == (0, 0, 0, 0, 0)
         assert abs(one.fx_px / true.fx_px - 1) < 0.03
@@ -156,12 +156,12 @@ def picture(width: int = 600, height: int = 400) -> GreyPicture:
 
 def test_what_files_tell_parts_photographs() -> None:
     pictures = dict.fromkeys("abcde", picture()) | {"f": picture(400, 600)}
-    told = dict.fromkeys(pictures, Exif()) | {
+    exifs = dict.fromkeys(pictures, Exif()) | {
         "a": Exif(model="M", focal_mm=50.0, focal_plane_px_per_mm=30.0),
         "b": Exif(model="M", focal_mm=50.0, focal_plane_px_per_mm=30.0),
         "c": Exif(focal_35mm_mm=72.0),
     }
-    lenses = shared_lenses(pictures, told)
+    lenses = shared_lenses(pictures, exifs)
     assert [(lens.cameras, lens.focal_px, lens.by) for lens in lenses] == [
         (("a", "b"), 1500.0, "EXIF"),
         (("c",), 1200.0, "EXIF"),
@@ -169,17 +169,17 @@ def test_what_files_tell_parts_photographs() -> None:
         (("f",), None, "found"),
     ]
     typed = [TypedLens(("a", "d"), 72.0, 36.0)]
-    lenses = shared_lenses(pictures, told, typed)
+    lenses = shared_lenses(pictures, exifs, typed)
     assert (lenses[0].cameras, lenses[0].focal_px, lenses[0].by) == (("a", "d"), 1200.0, "file")
     assert [lens.cameras for lens in lenses[1:]] == [("b",), ("c",), ("e",), ("f",)]
     with pytest.raises(MotionError, match=r"--lenses: found no photograph of z"):
-        shared_lenses(pictures, told, [TypedLens(("z",), None, 36.0)])
+        shared_lenses(pictures, exifs, [TypedLens(("z",), None, 36.0)])
     with pytest.raises(MotionError, match=r"unlike sizes for a, f"):
-        shared_lenses(pictures, told, [TypedLens(("a", "f"), None, 36.0)])
+        shared_lenses(pictures, exifs, [TypedLens(("a", "f"), None, 36.0)])
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "message"),
     [
         ({"lenses": []}, "lenses: found list, expected a non-empty list"),
         ({"lenses": [3]}, r"lenses\[0\]: found 3, expected an object"),
@@ -192,11 +192,11 @@ def test_what_files_tell_parts_photographs() -> None:
     ],
 )
 def test_a_file_of_lenses_that_cannot_be_is_one_message(
-    tmp_path: Path, value: dict[str, object], said: str
+    tmp_path: Path, value: dict[str, object], message: str
 ) -> None:
     path = tmp_path / "lenses.json"
     path.write_text(json.dumps({"schema": "lightstage.lenses/1"} | value))
-    with pytest.raises(FormatError, match=said) as caught:
+    with pytest.raises(FormatError, match=message) as caught:
         read_lenses(path)
     assert "lenses.json" in str(caught.value)
 
@@ -206,15 +206,15 @@ def job(*names: str, opened: bool = True) -> JobLens:
 
 
 def test_lenses_part_where_their_focal_lengths_leave_a_gap() -> None:
-    told = [job("a", "b", "c", "d"), job("e", "f", opened=False)]
+    stated = [job("a", "b", "c", "d"), job("e", "f", opened=False)]
     lengths = {"a": 100.0, "b": 101.0, "c": 140.0, "d": 150.0, "e": 100.0, "f": 200.0}
-    two, three = parted(told, lengths)
+    two, three = parted(stated, lengths)
     assert [lens.cameras for lens in two] == [("a", "b"), ("c", "d"), ("e", "f")]
     assert [lens.focal_px for lens in two] == [101.0, 150.0, None]
     assert [lens.cameras for lens in three] == [("a", "b"), ("c",), ("d",), ("e", "f")]
-    assert parted(told, dict.fromkeys("abcdef", 100.0)) == []
-    assert parted(told, {}) == []
-    assert [lens.cameras for lens in apart(told)] == [("a",), ("b",), ("c",), ("d",), ("e", "f")]
+    assert parted(stated, dict.fromkeys("abcdef", 100.0)) == []
+    assert parted(stated, {}) == []
+    assert [lens.cameras for lens in apart(stated)] == [("a",), ("b",), ("c",), ("d",), ("e", "f")]
 
 
 @given(
@@ -224,10 +224,10 @@ def test_lenses_part_where_their_focal_lengths_leave_a_gap() -> None:
 def test_every_grouping_holds_each_camera_once(
     lengths: dict[str, float], opened: list[bool]
 ) -> None:
-    told = [job(*"abcde", opened=opened[0]), job(*"fgh", opened=opened[1])]
-    for grouping in [*parted(told, lengths), apart(told)]:
+    stated = [job(*"abcde", opened=opened[0]), job(*"fgh", opened=opened[1])]
+    for grouping in [*parted(stated, lengths), apart(stated)]:
         assert sorted(name for lens in grouping for name in lens.cameras) == [*"abcdefgh"]
-        assert all(lens in grouping for lens in told if not lens.open)
+        assert all(lens in grouping for lens in stated if not lens.open)
         assert all(lens.focal_px is None or lens.focal_px > 0 for lens in grouping)
 
 
@@ -244,23 +244,23 @@ def solved(**more: object) -> Solved:
     camera = default_rig().scaled(0.1).camera("cam0")
     short = dataclasses.replace(camera, fx_px=50.0, fy_px=50.0)
     cameras: dict[str, Camera] = {"cam0": camera, "cam1": dataclasses.replace(short, id="cam1")}
-    told: dict[str, float | None] = {"cam0": 1000.0, "cam1": None}
+    stated: dict[str, float | None] = {"cam0": 1000.0, "cam1": None}
     known = dataclasses.fields(Solved)
     values = {field.name: {} for field in known} | {"lenses": [], "doubted": None}
-    values |= {"cameras": cameras, "told_px": told, "together_px": None, "bent": {}}
+    values |= {"cameras": cameras, "told_px": stated, "together_px": None, "bent": {}}
     return Solved(**(values | more))  # type: ignore[arg-type]
 
 
 def test_implausible_focal_lengths_are_named() -> None:
-    said = lens_warnings(solved())
-    assert len(said) == 2
-    assert said[0].startswith("cam0: the focal length came out as")
-    assert "+76 % off the 1000 px" in said[0]
-    assert said[1].startswith("cam1: a focal length of 0.083 times")
+    warnings = lens_warnings(solved())
+    assert len(warnings) == 2
+    assert warnings[0].startswith("cam0: the focal length came out as")
+    assert "+76 % off the 1000 px" in warnings[0]
+    assert warnings[1].startswith("cam1: a focal length of 0.083 times")
 
 
 def test_lenses_that_fit_better_than_those_told_are_a_warning() -> None:
     odd, most = Lens(("cam1",), 1300.0, "found"), Lens(("cam0", "cam2"), 1760.0, "found")
-    (said, *_) = lens_warnings(solved(doubted=Doubted([odd, most], 0.26, 0.17)))
-    assert said.startswith("cam1: bends the others")
-    assert "(0.17 px in place of 0.26 px) with 1300 px by cam1; 1760 px by cam0, cam2" in said
+    (warnings, *_) = lens_warnings(solved(doubted=Doubted([odd, most], 0.26, 0.17)))
+    assert warnings.startswith("cam1: bends the others")
+    assert "(0.17 px in place of 0.26 px) with 1300 px by cam1; 1760 px by cam0, cam2" in warnings

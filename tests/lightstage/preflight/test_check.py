@@ -32,10 +32,10 @@ class Leds:
 
 
 def look(rig, out, leds=None, **changes):
-    told = {camera.id: GOOD for camera in rig.cameras}
-    told["cam1"] = dataclasses.replace(GOOD, **changes)
+    values = {camera.id: GOOD for camera in rig.cameras}
+    values["cam1"] = dataclasses.replace(GOOD, **changes)
     config = PreflightConfig()
-    return preflight(rig, told, CamerasFile(), leds or Leds(), out, Plan(7), config)
+    return preflight(rig, values, CamerasFile(), leds or Leds(), out, Plan(7), config)
 
 
 def test_a_stage_that_is_ready_has_no_findings(tmp_path, small_rig):
@@ -51,11 +51,11 @@ def test_lights_cameras_and_disk_are_told_in_one_message(tmp_path, small_rig):
     )
     with pytest.raises(DeviceError) as caught:
         require(found)
-    said = str(caught.value)
+    message = str(caught.value)
     for part in ("light count", "pulses of 400 Hz", "iso", "battery", "owner", "card", "bytes"):
-        assert part in said, part
-    assert "Ann" not in said
-    assert "unacknowledged" not in said
+        assert part in message, part
+    assert "Ann" not in message
+    assert "unacknowledged" not in message
     assert [f.code for f in found if f.severity == "warn"] == ["unacknowledged"]
 
 

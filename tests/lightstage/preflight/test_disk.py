@@ -80,10 +80,10 @@ def test_a_folder_without_the_right_to_write_is_refused(small_rig):
     )
     with tempfile.TemporaryDirectory() as name:
         os.chmod(name, 0o555)
-        said = subprocess.run(
+        printed = subprocess.run(
             [sys.executable, "-c", script, name], capture_output=True, text=True, check=True
         )
-    assert "('disk', 'Permission denied')" in said.stdout
+    assert "('disk', 'Permission denied')" in printed.stdout
 
 
 def test_names_too_long_for_the_disk_are_refused(tmp_path, small_rig):
@@ -96,12 +96,12 @@ def test_names_too_long_for_the_disk_are_refused(tmp_path, small_rig):
 
 
 def test_cards_too_small_for_the_plan_are_refused(small_rig):
-    told = {
+    values = {
         "cam0": Summary(card_free_bytes=10**9),
         "cam1": Summary(card_free_bytes=50_000_000),
         "cam2": Summary(),
     }
-    (finding,) = card_findings(small_rig, told, Plan(10, 5_000_000), CONFIG)
+    (finding,) = card_findings(small_rig, values, Plan(10, 5_000_000), CONFIG)
     assert finding.camera == "cam1"
     assert "50.0 MB free" in finding.found
     assert "55.0 MB for 10 photographs" in finding.expected

@@ -58,7 +58,7 @@ def test_another_spelling_is_no_drift():
 
 def test_a_setting_that_is_no_longer_told_blocks():
     (finding,) = changed(iso=None)
-    assert (finding.severity, finding.found) == ("refuse", "that it no longer tells")
+    assert (finding.severity, finding.found) == ("refuse", "that it no longer reports")
 
 
 def test_a_setting_that_is_told_only_now_is_noted():

@@ -15,17 +15,17 @@ RIG = default_rig()
 
 def test_cameras_that_were_not_measured_or_not_checked_are_warned_of_by_name() -> None:
     assert measured_rig_findings(RIG) == []
-    told = {UNMEASURED: ["cam3", "cam5"], UNCHECKED: ["cam4"]}
-    first, second = measured_rig_findings(dataclasses.replace(RIG, more=told))
+    values = {UNMEASURED: ["cam3", "cam5"], UNCHECKED: ["cam4"]}
+    first, second = measured_rig_findings(dataclasses.replace(RIG, more=values))
     assert (first.severity, second.severity) == ("warn", "warn")
     assert "older lens and pose of cam3, cam5" in first.found
     assert "too few boards to be checked: cam4" in second.found
-    assert measured_rig_findings(dataclasses.replace(RIG, more={k: [] for k in told})) == []
+    assert measured_rig_findings(dataclasses.replace(RIG, more={k: [] for k in values})) == []
 
 
-@pytest.mark.parametrize("told", [None, "cam3", 7, [[]], ["cam77"], {"cam3": 1}])
-def test_a_list_of_cameras_that_is_none_says_nothing(told: object) -> None:
-    assert measured_rig_findings(dataclasses.replace(RIG, more={UNMEASURED: told})) == []
+@pytest.mark.parametrize("given", [None, "cam3", 7, [[]], ["cam77"], {"cam3": 1}])
+def test_a_list_of_cameras_that_is_none_says_nothing(given: object) -> None:
+    assert measured_rig_findings(dataclasses.replace(RIG, more={UNMEASURED: given})) == []
 
 
 @pytest.mark.parametrize("text", ["0.0000909048", "0.000000123456789"])

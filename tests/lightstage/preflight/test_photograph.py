@@ -56,12 +56,12 @@ def test_another_cameras_photograph_is_refused(photograph, small_rig):
 
 def test_a_maker_that_writes_other_numbers_into_files_is_doubted_not_refused(photograph, small_rig):
     path = photograph(serial="59Y1", model="FUJIFILM X-T5")
-    told = dataclasses.replace(TOLD, serial="600")
-    assert look(path, small_rig, told) == [("warn", "wrong-camera")]
+    stated = dataclasses.replace(TOLD, serial="600")
+    assert look(path, small_rig, stated) == [("warn", "wrong-camera")]
     # Where the body told nothing, the file alone says whose it is.
     assert look(path, small_rig) == [("refuse", "wrong-camera")]
     nikon = photograph(serial="601")
-    assert look(nikon, small_rig, told) == [("refuse", "wrong-camera")]
+    assert look(nikon, small_rig, stated) == [("refuse", "wrong-camera")]
 
 
 def test_what_the_camera_cannot_tell_is_not_compared(photograph, small_rig):

@@ -29,12 +29,12 @@ class Body:
 
 
 def test_names_and_places_are_refused_and_not_repeated():
-    told = {
+    values = {
         "cam0": Summary(owner="", artist="  ", copyright="\0", place="Off"),
         "cam1": Summary(owner="Ann Person", copyright="(c) Ann", place="51.5 N"),
         "cam2": Summary(),
     }
-    (finding,) = privacy_findings(told)
+    (finding,) = privacy_findings(values)
     assert (finding.severity, finding.camera) == ("refuse", "cam1")
     assert "owner, copyright, place" in finding.where
     assert "Ann" not in str(finding)
@@ -46,11 +46,11 @@ def test_only_what_holds_something_is_cleared():
         Body("cam0", owner="Ann", artist="", place="on", iso="100"),
         Body("cam1", owner="", artist=None, copyright="", place="off"),
     ]
-    told = clear_privacy(bodies)
+    found = clear_privacy(bodies)
     assert bodies[0].changes == [("owner", ""), ("place", "off")]
     assert bodies[1].changes == []
-    assert told["cam0"] == Summary(owner="", artist="", place="off", iso="100")
-    assert privacy_findings(told) == []
+    assert found["cam0"] == Summary(owner="", artist="", place="off", iso="100")
+    assert privacy_findings(found) == []
 
 
 def test_every_camera_that_cannot_be_cleared_is_told_in_one_message():
@@ -61,11 +61,11 @@ def test_every_camera_that_cannot_be_cleared_is_told_in_one_message():
     ]
     with pytest.raises(DeviceError) as caught:
         clear_privacy(bodies)
-    said = str(caught.value)
-    assert "camera cam0, owner" in said
-    assert "camera cam2, artist" in said
-    assert "cam1" not in said
-    assert "Ann" not in said
+    message = str(caught.value)
+    assert "camera cam0, owner" in message
+    assert "camera cam2, artist" in message
+    assert "cam1" not in message
+    assert "Ann" not in message
     assert bodies[1].told.owner == ""
 
 

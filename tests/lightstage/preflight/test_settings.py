@@ -32,9 +32,9 @@ GOOD = Summary(
 
 def look(file=None, cameras=3, **changes):
     """Findings where cam1 differs from the others as said."""
-    told = {f"cam{i}": GOOD for i in range(cameras)}
-    told["cam1"] = dataclasses.replace(GOOD, **changes)
-    return settings_findings(told, file or CamerasFile(), PreflightConfig())
+    values = {f"cam{i}": GOOD for i in range(cameras)}
+    values["cam1"] = dataclasses.replace(GOOD, **changes)
+    return settings_findings(values, file or CamerasFile(), PreflightConfig())
 
 
 def test_cameras_alike_and_by_hand_are_ready():
@@ -47,7 +47,7 @@ def test_other_spellings_of_the_same_are_ready():
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"mode": "A"}, "mode"),
         ({"focus": "AF-S"}, "focus"),
@@ -68,10 +68,10 @@ def test_other_spellings_of_the_same_are_ready():
         ({"clock_offset_s": float("nan")}, "clock"),
     ],
 )
-def test_each_wrong_setting_is_refused(change, said):
+def test_each_wrong_setting_is_refused(change, message):
     found = [f for f in look(**change) if f.severity == "refuse"]
     assert found
-    assert any(said in str(f) for f in found)
+    assert any(message in str(f) for f in found)
     assert all("cam1" in str(f) for f in found)
 
 
@@ -89,12 +89,12 @@ def test_what_a_camera_cannot_tell_must_be_allowed_by_name(name):
 
 
 def test_all_faults_of_all_cameras_come_at_once():
-    told = {
+    values = {
         "cam0": dataclasses.replace(GOOD, mode="P", battery_percent=3.0),
         "cam1": dataclasses.replace(GOOD, iso="200", focus="AF-C"),
         "cam2": dataclasses.replace(GOOD, image_format="JPEG Basic", firmware=None),
     }
-    found = settings_findings(told, CamerasFile(), PreflightConfig())
+    found = settings_findings(values, CamerasFile(), PreflightConfig())
     codes = [(f.camera, f.code) for f in found]
     assert codes == [
         ("cam0", "mode"),

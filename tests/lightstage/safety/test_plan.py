@@ -52,12 +52,12 @@ def test_all_limits_are_told_at_once(small_rig):
     config = SafetyConfig(light_interval_s=0.1, max_light_on_s=10.0, max_heat=0.05)
     with pytest.raises(ConfigError) as caught:
         check_shots(shots, small_rig, config, shot_worst_s=6.0)
-    said = str(caught.value)
-    assert "up to 4 flashes per second, expected at most 3" in said
-    assert "duty: found 8 lights over the budget" in said
-    assert "up to 24 s at full level, expected at most 10 s" in said
+    message = str(caught.value)
+    assert "up to 4 flashes per second, expected at most 3" in message
+    assert "duty: found 8 lights over the budget" in message
+    assert "up to 24 s at full level, expected at most 10 s" in message
     warm = 1 - np.exp(-24 / 300)
-    assert f"heat: found 8 lights over the budget, light 0 (corner0) up to {warm:.2f}" in said
+    assert f"heat: found 8 lights over the budget, light 0 (corner0) up to {warm:.2f}" in message
 
 
 def test_a_long_deadline_alone_can_break_the_warmth(small_rig):

@@ -40,7 +40,7 @@ def session(tmp_path, small_rig, fill):
     return writer.root
 
 
-def said_of(root):
+def problems_of(root):
     return "\n".join(map(str, disagreements(root, load_session(root).file)))
 
 
@@ -71,22 +71,22 @@ def swap(root):
 
 
 def test_a_whole_session_agrees_with_its_journal(session):
-    assert said_of(session) == ""
+    assert problems_of(session) == ""
 
 
 def test_two_swapped_frames_are_told_by_the_journal_though_all_hashes_were_changed_along(session):
     swap(session)
     assert check_manifest(session) == []
-    said = said_of(session)
-    assert "frame full by cam0, sha256: found" in said
-    assert "frame full by cam1, sha256: found" in said
-    assert "(journal.jsonl)" in said
+    text = problems_of(session)
+    assert "frame full by cam0, sha256: found" in text
+    assert "frame full by cam1, sha256: found" in text
+    assert "(journal.jsonl)" in text
 
 
 @pytest.mark.parametrize("name", ["subject", "consent", "id", "expression", "created_utc"])
 def test_another_person_or_consent_in_session_json_is_told_by_the_journal(session, name):
     edit(session / "session.json", lambda value: value.update({name: "C-99"}))
-    assert f"session.json, {name}: found 'C-99', expected" in said_of(session)
+    assert f"session.json, {name}: found 'C-99', expected" in problems_of(session)
 
 
 @pytest.mark.parametrize("name", ["subject", "consent", "session", "expression"])
@@ -106,14 +106,14 @@ def test_a_line_that_was_removed_from_the_journal_is_an_error(session):
     path = session / "journal.jsonl"
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join(lines[:2] + lines[3:]))
-    assert "after id 2: found id 4, expected 3" in said_of(session)
+    assert "after id 2: found id 4, expected 3" in problems_of(session)
 
 
 def test_a_journal_without_its_end_is_an_error(session):
     path = session / "journal.jsonl"
     path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:-1]))
     assert check_manifest(session) == []
-    assert "found shot as its last line, expected end" in said_of(session)
+    assert "found shot as its last line, expected end" in problems_of(session)
 
 
 def test_a_journal_that_was_cut_is_told_from_one_that_was_edited(session):
@@ -124,7 +124,7 @@ def test_a_journal_that_was_cut_is_told_from_one_that_was_edited(session):
 
 def test_another_rig_than_the_journals_is_an_error(session):
     edit(session / "rig.json", lambda value: value["cameras"][0].update({"serial": "999"}))
-    assert "rig.json: found another rig" in said_of(session)
+    assert "rig.json: found another rig" in problems_of(session)
 
 
 def test_a_finished_session_is_whole_only_after_a_look_at_the_disk(session):
@@ -204,9 +204,9 @@ def test_accepted_findings_stand_in_session_json_and_manifest(writer, fill):
     for name in ("session.json", "manifest.json"):
         accepted = json.loads((writer.root / name).read_text())["accepted"]
         assert [each["code"] for each in accepted["x+"]] == ["blur", "sum"]
-    assert said_of(writer.root) == ""
+    assert problems_of(writer.root) == ""
     edit(writer.root / "session.json", lambda value: value.pop("accepted"))
-    assert "session.json, accepted: found None" in said_of(writer.root)
+    assert "session.json, accepted: found None" in problems_of(writer.root)
 
 
 def test_what_was_accepted_holds_no_more_when_the_photograph_is_taken_again(writer, fill):

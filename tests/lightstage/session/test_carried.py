@@ -27,9 +27,9 @@ def folder(tmp_path, small_rig):
         {"id": light.id, "position_mm": list(light.position_mm), "rgb_gain": [1, 1, 1]}
         for light in small_rig.lights
     ]
-    told = {"position_sigma_mm": 1.0, "residual_px": 0.1, "gain_sigma": 0.01}
+    values = {"position_sigma_mm": 1.0, "residual_px": 0.1, "gain_sigma": 0.01}
     value = {"schema": "lightstage.lights/1", "exponent": 0.0, "stray": {}, "facts": {}}
-    value["lights"] = [{**light, **told} for light in lights]
+    value["lights"] = [{**light, **values} for light in lights]
     write_json(path / "lights.json", value)
     return path
 
@@ -46,11 +46,11 @@ def test_a_session_carries_colours_flats_and_lights_from_its_first_line_on(
     writer.resume({}, {})
     fill(writer)
     writer.finish()
-    told = load_session(writer.root).file.calibration.model_dump()
+    stated = load_session(writer.root).file.calibration.model_dump()
     writer.close()
     for kind in ("colour", "flats", "lights"):
-        assert told[kind] == f"calibration/{kind}.json"
-        assert json.loads((tmp_path / "S" / told[kind]).read_text()) == json.loads(
+        assert stated[kind] == f"calibration/{kind}.json"
+        assert json.loads((tmp_path / "S" / stated[kind]).read_text()) == json.loads(
             (folder / f"{kind}.json").read_text()
         )
     assert (tmp_path / "S/calibration/flats-cam0.npz").read_bytes() == b"gains"

@@ -47,9 +47,9 @@ def check(desk, cards_whole=True):
         assert there[data] == 1 or (not cards_whole and there[data] == 0)
     lines = read_journal(desk.root / "journal.jsonl")
     assert [line["event"] for line in lines].count("end") == 1
-    told = {line["path"]: line for line in lines if line["event"] in ("frame", "recovered")}
+    values = {line["path"]: line for line in lines if line["event"] in ("frame", "recovered")}
     for path, _ in frames + recovered:
-        line = told[path.relative_to(desk.root).as_posix()]
+        line = values[path.relative_to(desk.root).as_posix()]
         assert line["sha256"] == sha256_file(path)
 
 

@@ -299,21 +299,21 @@ def test_a_full_disk_is_said_to_all_who_wait_and_what_was_before_stays(journal, 
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "write", full)
-    said = []
+    lines = []
 
     def write():
         try:
             journal.write("failed")
         except CaptureError as error:
-            said.append(str(error))
+            lines.append(str(error))
 
     threads = [threading.Thread(target=write) for _ in range(3)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join(10)
-    assert len(said) == 3
-    assert all("no space left on the disk" in each and "Free some space" in each for each in said)
+    assert len(lines) == 3
+    assert all("no space left on the disk" in each and "Free some space" in each for each in lines)
     assert path.read_bytes() == before
 
 

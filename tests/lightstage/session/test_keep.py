@@ -25,17 +25,17 @@ def arrival(tmp_path, dng):
 def test_each_step_is_said_when_it_is_done_and_what_it_promises_is_on_the_disk(
     arrival, monkeypatch
 ):
-    said = []
+    lines = []
 
     def step(name, pattern, camera):
         named, partial = arrival.path.with_name("cam0.dng").exists(), arrival.path.exists()
-        said.append(name)
+        lines.append(name)
         assert (pattern, camera) == ("x+", "cam0")
-        assert (named, partial) == (("named" in said), ("named" not in said))
+        assert (named, partial) == (("named" in lines), ("named" not in lines))
 
     monkeypatch.setattr(module, "step", step)
     path, kind = settle(arrival)
-    assert said == STEPS
+    assert lines == STEPS
     assert (path.name, kind.encoding) == ("cam0.dng", "raw")
 
 

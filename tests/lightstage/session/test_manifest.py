@@ -89,12 +89,12 @@ def test_a_whole_session_agrees_with_its_manifest(session):
 
 
 def test_its_part_of_the_journal_ends_with_the_named_line(session):
-    told = manifest(session)["journal"]
+    stated = manifest(session)["journal"]
     data = (session / "journal.jsonl").read_bytes()
-    last = json.loads(data[: told["bytes"]].splitlines()[-1])
-    assert last["id"] == told["last_id"]
+    last = json.loads(data[: stated["bytes"]].splitlines()[-1])
+    assert last["id"] == stated["last_id"]
     # Only the session's end is written after it.
-    assert [json.loads(line)["event"] for line in data[told["bytes"] :].splitlines()] == ["end"]
+    assert [json.loads(line)["event"] for line in data[stated["bytes"] :].splitlines()] == ["end"]
 
 
 def change(path, data=b"x"):
@@ -102,7 +102,7 @@ def change(path, data=b"x"):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "message"),
     [
         (lambda s: change(s / "frames/full/cam1.dng"), "frames/full/cam1.dng: found sha256"),
         (lambda s: (s / "frames/x+/cam2.dng").unlink(), "cam2.dng: found no such file"),
@@ -121,11 +121,11 @@ def change(path, data=b"x"):
         (lambda s: (s / "manifest.json").unlink(), "expected the manifest"),
     ],
 )
-def test_each_change_is_one_clear_problem(session, spoil, said):
+def test_each_change_is_one_clear_problem(session, spoil, message):
     spoil(session)
     (problem,) = check_manifest(session)
     assert isinstance(problem, FormatError)
-    assert said in str(problem)
+    assert message in str(problem)
 
 
 def test_all_changes_are_told_at_once(session):
@@ -244,8 +244,8 @@ def test_neither_person_nor_machine_nor_path_is_in_it(session):
     text = (session / "manifest.json").read_text()
     for word in ("Ann", "51.5", "/home", "/data", str(session), str(Path.home())):
         assert word not in text, word
-    said = {json.dumps(each) for each in (platform.node(), getpass.getuser())}
-    assert not said & {json.dumps(value) for value in values(json.loads(text))}
+    stated = {json.dumps(each) for each in (platform.node(), getpass.getuser())}
+    assert not stated & {json.dumps(value) for value in values(json.loads(text))}
 
 
 def values(tree):

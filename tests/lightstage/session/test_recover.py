@@ -99,10 +99,10 @@ def test_of_an_emptied_card_a_whole_download_is_kept_and_said_to_be_less_certain
     assert [path.read_bytes() for path in found.recovered] == [cameras[1].body.exposed[0][:50]]
     codes = sorted(finding.code for finding in found.findings)
     assert codes == ["card-changed", "card-changed", "verified-by-size"]
-    told = [
+    stated = [
         line["code"] for line in read_journal(writer.journal.path) if line["event"] == "finding"
     ]
-    assert sorted(told) == codes
+    assert sorted(stated) == codes
     assert reconcile(writer, cameras).findings == ()
     writer.close()
 

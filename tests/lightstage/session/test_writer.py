@@ -66,16 +66,16 @@ def test_each_frame_says_whether_its_light_was_acknowledged_and_which_take_it_is
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         ({"sha256": "0" * 64}, r"full by cam0, sha256: found .* on the disk"),
         ({"size": 5}, r"full by cam0, size: found \d+ bytes on the disk, expected 5"),
     ],
 )
 def test_a_photograph_that_reads_back_differently_gets_no_name_and_no_line(
-    writer, keep, dng, wrong, said
+    writer, keep, dng, wrong, message
 ):
-    with pytest.raises(CaptureError, match=said):
+    with pytest.raises(CaptureError, match=message):
         keep(writer, "full", "cam0", dng(1000), **wrong)
     assert list((writer.root / "frames").rglob("*.dng")) == []
     assert events(writer) == ["begin"]

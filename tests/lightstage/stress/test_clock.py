@@ -32,8 +32,8 @@ def test_a_clock_that_is_set_back_in_the_middle_changes_no_label_and_no_order(be
     assert done.returncode == 0, done.stderr
     bench.require_whole()
     lines = tools.journal_of(bench.out)
-    told = times(lines)
-    assert any(later < earlier for earlier, later in itertools.pairwise(told))
+    stated = times(lines)
+    assert any(later < earlier for earlier, later in itertools.pairwise(stated))
     assert [line["id"] for line in lines] == list(range(1, len(lines) + 1))
     steady = [line["elapsed_s"] for line in lines]
     assert steady == sorted(steady)
@@ -51,11 +51,11 @@ def test_a_capture_whose_clock_is_before_the_last_journal_is_refused_and_says_bo
     clock.write_text("0")
     states = len(bench.stage.device.states)
     second = bench.run(launcher=(str(LAUNCHER), str(clock)), out=bench.desk / "second")
-    said = tools.message(second, "DeviceError")
-    assert "this computer, clock: found" in said
+    message = tools.message(second, "DeviceError")
+    assert "this computer, clock: found" in message
     last = newest.isoformat(timespec="seconds")
-    assert f"expected later than the last line of {bench.out / 'journal.jsonl'}, {last}" in said
-    assert "--ignore-clock" in said
+    assert f"expected later than the last line of {bench.out / 'journal.jsonl'}, {last}" in message
+    assert "--ignore-clock" in message
     assert not (bench.desk / "second").exists()
     assert all(not state.counts.any() for state in bench.stage.device.states[states:])
 
@@ -70,10 +70,10 @@ def test_a_capture_begun_before_the_clock_was_set_back_goes_on_when_it_is_right_
     child.communicate()
     kept = bench.photographs()
     clock.write_text("0")
-    said = tools.message(
+    message = tools.message(
         bench.run(launcher=(str(LAUNCHER), str(clock)), resume=True), "DeviceError"
     )
-    assert "this computer, clock: found" in said
+    assert "this computer, clock: found" in message
     clock.write_text(str(-BACK_S))
     done = bench.run(launcher=(str(LAUNCHER), str(clock)), resume=True)
     assert done.returncode == 0, done.stderr

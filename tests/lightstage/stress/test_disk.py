@@ -30,13 +30,13 @@ def test_a_disk_that_fills_up_ends_dark_and_the_session_goes_on_when_there_is_ro
             size = max(path.stat().st_size for path in bench.out.rglob("*") if path.is_file())
             limit = (size, resource.RLIM_INFINITY)
             resource.prlimit(child.pid, resource.RLIMIT_FSIZE, limit)
-        said = tools.message(tools.ended(child), "CaptureError")
+        message = tools.message(tools.ended(child), "CaptureError")
         assert bench.stage.device.dark
-        assert str(bench.out) in said
+        assert str(bench.out) in message
         # In the words of whoever wrote first: the journal's process, or a camera's.
-        assert ("o space left on" if mounted else "File too large") in said
-        assert "expected " in said
-        assert "resume" in said
+        assert ("o space left on" if mounted else "File too large") in message
+        assert "expected " in message
+        assert "resume" in message
         kept = bench.photographs()
         assert len(kept) >= 6
         assert not (bench.out / "session.json").exists()
@@ -54,11 +54,11 @@ def test_a_disk_that_fills_up_ends_dark_and_the_session_goes_on_when_there_is_ro
 def test_a_disk_without_room_for_the_whole_plan_is_refused_before_a_light_goes_on(bench, tools):
     text = bench.stage.rig_path.read_text().replace('"width_px": 48', '"width_px": 65536')
     bench.stage.rig_path.write_text(text.replace('"height_px": 64', '"height_px": 65536'))
-    said = tools.message(bench.run(), "DeviceError")
-    assert f"disk of {bench.desk}: found" in said
-    assert "GB free, expected" in said
-    assert "GB for the whole capture. Make room, or give an --out on another disk." in said
-    assert "camera cam1, card: found 64.0 GB free, expected" in said
+    message = tools.message(bench.run(), "DeviceError")
+    assert f"disk of {bench.desk}: found" in message
+    assert "GB free, expected" in message
+    assert "GB for the whole capture. Make room, or give an --out on another disk." in message
+    assert "camera cam1, card: found 64.0 GB free, expected" in message
     assert not bench.out.exists()
     assert all(not state.counts.any() for state in bench.stage.device.states)
 
@@ -71,9 +71,9 @@ def test_a_folder_that_may_not_be_written_to_is_refused_before_a_light_goes_on(b
         done = bench.run(out=shelf / "S", before=tools.obey_permissions)
     finally:
         shelf.chmod(0o755)
-    said = tools.message(done, "DiskError")
-    assert f"{shelf / 'S'}, --out: found no permission" in said
-    assert "expected a place that you may read and write. Name another place" in said
+    message = tools.message(done, "DiskError")
+    assert f"{shelf / 'S'}, --out: found no permission" in message
+    assert "expected a place that you may read and write. Name another place" in message
     assert os.listdir(shelf) == []
     assert all(not state.counts.any() for state in bench.stage.device.states)
 
@@ -84,13 +84,13 @@ def test_a_session_that_becomes_read_only_ends_dark_and_goes_on_later(bench, too
     frames = bench.out / "frames"
     frames.chmod(0o555)  # no folder for a further pattern
     try:
-        said = tools.message(tools.ended(child), "CaptureError")
+        message = tools.message(tools.ended(child), "CaptureError")
     finally:
         frames.chmod(0o755)
     assert bench.stage.device.dark
-    assert str(frames) in said
-    assert "found no permission to write, expected a disk that can be written" in said
-    assert "Change the folder's permissions, then resume." in said
+    assert str(frames) in message
+    assert "found no permission to write, expected a disk that can be written" in message
+    assert "Change the folder's permissions, then resume." in message
     kept = bench.photographs()
     assert len(kept) >= 6
     done = bench.run(resume=True)
@@ -101,8 +101,8 @@ def test_a_session_that_becomes_read_only_ends_dark_and_goes_on_later(bench, too
 
 def test_a_file_where_the_session_should_lie_is_refused(bench, tools):
     bench.out.write_text("mine")
-    said = tools.message(bench.run(), "DiskError")
-    assert f"{bench.out}, --out: found a file, expected a folder to write into" in said
+    message = tools.message(bench.run(), "DiskError")
+    assert f"{bench.out}, --out: found a file, expected a folder to write into" in message
     assert bench.out.read_text() == "mine"
 
 
@@ -116,12 +116,12 @@ def test_a_session_folder_that_goes_away_is_told_and_the_cameras_keep_the_photog
         shutil.rmtree(bench.out, ignore_errors=True)
     else:
         bench.out.rename(bench.desk / "moved")
-    said = tools.message(tools.ended(child), "CaptureError")
+    message = tools.message(tools.ended(child), "CaptureError")
     assert bench.stage.device.dark
-    assert str(bench.out) in said
-    assert "found the file or its folder is gone" in said
-    assert "Was the folder removed, renamed or unplugged?" in said
-    assert "The photographs are still on the cameras." in said
+    assert str(bench.out) in message
+    assert "found the file or its folder is gone" in message
+    assert "Was the folder removed, renamed or unplugged?" in message
+    assert "The photographs are still on the cameras." in message
     cards = [
         len(list(bench.stage.cameras.folder(c.id).glob("card/*"))) for c in bench.stage.rig.cameras
     ]

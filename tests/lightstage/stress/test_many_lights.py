@@ -48,7 +48,7 @@ def test_a_device_of_another_count_of_lights_is_told(tmp_path, tools):
     with tools.bench_of(tmp_path, rig) as bench:
         fewer = dataclasses.replace(rig, lights=rig.lights[:-1])
         save_rig(fewer, bench.stage.rig_path)
-        said = tools.message(bench.run(sequence="full"), "DeviceError")
-        assert "LED device, light count: found 10000, expected 9999 (rig.json)" in said
-        assert "Is this the rig file of this stage?" in said
+        message = tools.message(bench.run(sequence="full"), "DeviceError")
+        assert "LED device, light count: found 10000, expected 9999 (rig.json)" in message
+        assert "Is this the rig file of this stage?" in message
         assert not bench.out.exists()

@@ -89,15 +89,15 @@ def test_a_folder_of_any_name_takes_a_session(bench):
 
 def test_a_folder_whose_name_no_disk_takes_is_refused_before_a_light_goes_on(bench, tools):
     done = bench.run(out=bench.desk / ("s" * 300))
-    said = tools.message(done, "DiskError")
-    assert "sss, --out: found a name of 300 bytes, expected at most" in said
+    message = tools.message(done, "DiskError")
+    assert "sss, --out: found a name of 300 bytes, expected at most" in message
     assert sorted(os.listdir(bench.desk)) == ["config.toml", "sim"]
     assert all(not state.counts.any() for state in bench.stage.device.states)
 
 
 def test_patterns_of_no_meaning_are_all_refused_in_one_message_and_nothing_is_made(bench, tools):
     names = ["../x", "full\x1b[2J", "x" * 300, "ｆｕｌｌ", "x\u2212"]
-    said = tools.message(bench.run(sequence=",".join(names)), "PatternError")
-    assert said.count("found an unknown name") == len(names)
-    assert "\x1b" not in said
+    message = tools.message(bench.run(sequence=",".join(names)), "PatternError")
+    assert message.count("found an unknown name") == len(names)
+    assert "\x1b" not in message
     assert sorted(os.listdir(bench.desk)) == ["config.toml", "sim"]

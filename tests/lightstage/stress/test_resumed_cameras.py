@@ -26,9 +26,9 @@ def test_a_setting_that_was_changed_is_set_back_when_a_capture_goes_on(bench, to
     done = bench.run(resume=True)
     assert done.returncode == 0, done.stderr
     assert "it was set back" in done.stderr
-    (told,) = findings(tools.journal_of(bench.out), "set-back")
-    assert (told["camera"], told["found"], told["severity"]) == ("cam1", "800", "warn")
-    assert json.loads(state.read_text())["changed"]["iso"] == told["expected"].partition(",")[0]
+    (finding,) = findings(tools.journal_of(bench.out), "set-back")
+    assert (finding["camera"], finding["found"], finding["severity"]) == ("cam1", "800", "warn")
+    assert json.loads(state.read_text())["changed"]["iso"] == finding["expected"].partition(",")[0]
     bench.require_whole()
 
 
@@ -39,7 +39,7 @@ def test_a_camera_that_was_plugged_in_elsewhere_is_found_when_a_capture_goes_on(
     file.write_text(file.read_text().replace(port, port + "-before"))
     done = bench.run(resume=True)
     assert done.returncode == 0, done.stderr
-    (told,) = findings(tools.journal_of(bench.out), "moved")
-    assert told["camera"] == "cam1"
-    assert f"at {port}, and nothing that answers at {port}-before" in told["found"]
+    (finding,) = findings(tools.journal_of(bench.out), "moved")
+    assert finding["camera"] == "cam1"
+    assert f"at {port}, and nothing that answers at {port}-before" in finding["found"]
     bench.require_whole()

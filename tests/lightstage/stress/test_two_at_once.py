@@ -26,9 +26,9 @@ def running(bench, tools):
 
 def test_a_second_capture_on_one_led_device_is_refused_and_the_first_goes_on(bench, tools, running):
     second = bench.run(out=bench.desk / "second")
-    said = tools.message(second, "DeviceError")
-    assert f"LED device at {bench.stage.device.path}: found another program" in said
-    assert "expected" in said
+    message = tools.message(second, "DeviceError")
+    assert f"LED device at {bench.stage.device.path}: found another program" in message
+    assert "expected" in message
     assert not (bench.desk / "second").exists()
     assert running.poll() is None
 

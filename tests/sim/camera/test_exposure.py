@@ -5,7 +5,7 @@ import pytest
 
 from lightstage.exif import read_exif
 from sim.camera.dng import Exif, dng_bytes
-from sim.camera.exposure import expose_again, told_by
+from sim.camera.exposure import expose_again, with_exposure
 from sim.camera.sensor import Sensor, SensorConfig
 from sim.errors import SimError
 
@@ -24,24 +24,24 @@ def read(tmp_path, data):
 
 
 def test_a_bodys_settings_stand_in_the_headers_and_nothing_else_changes(photograph, tmp_path):
-    said = {"iso": "400", "shutter": "1/60", "aperture": "f/5.6", "serial": "60177"}
-    changed = told_by(photograph, **said, taken="2026:01:02 03:04:05")
+    values = {"iso": "400", "shutter": "1/60", "aperture": "f/5.6", "serial": "60177"}
+    changed = with_exposure(photograph, **values, taken="2026:01:02 03:04:05")
     found = read(tmp_path, changed)
     assert (found.iso, found.exposure_s, found.f_number) == (400, pytest.approx(1 / 60), 5.6)
     assert found.serial == "60177"
     assert found.taken.isoformat() == "2026-01-02T03:04:05+00:00"
     assert len(changed) == len(photograph)
     assert changed[-128:] == photograph[-128:]
-    assert told_by(photograph) == photograph
+    assert with_exposure(photograph) == photograph
 
 
 def test_a_text_with_seconds_is_a_time(photograph, tmp_path):
-    found = read(tmp_path, told_by(photograph, shutter="0.0100s", aperture="f/2.8"))
+    found = read(tmp_path, with_exposure(photograph, shutter="0.0100s", aperture="f/2.8"))
     assert (found.exposure_s, found.f_number) == (0.01, 2.8)
 
 
 def test_no_two_shots_of_one_light_are_the_same_bytes(photograph):
-    assert len({told_by(photograph, shot=shot) for shot in range(1000)}) == 1000
+    assert len({with_exposure(photograph, shot=shot) for shot in range(1000)}) == 1000
 
 
 def test_a_drifted_iso_shows_in_counts_and_headers(photograph, tmp_path):
@@ -53,12 +53,12 @@ def test_a_drifted_iso_shows_in_counts_and_headers(photograph, tmp_path):
 
 @pytest.mark.parametrize("data", [b"", b"no photograph", b"\xff\xd8\xff\xe0jpeg"])
 def test_files_without_headers_come_back_as_they_were(data):
-    assert told_by(data, iso="400", serial="1") == data
+    assert with_exposure(data, iso="400", serial="1") == data
 
 
 def test_what_does_not_fit_is_refused(photograph):
     with pytest.raises(SimError, match="at most 7 letters"):
-        told_by(photograph, serial="12345678")
+        with_exposure(photograph, serial="12345678")
 
 
 def test_names_and_places_left_in_a_camera_stand_in_its_files(tmp_path):

@@ -44,7 +44,7 @@ def test_a_file_overrides_what_it_names_and_keeps_the_rest(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("[lens]\nf_number = -1", "lens.f_number: found -1"),
         ("[lens]\nblur = 3", "blur: found an unknown key"),
@@ -57,12 +57,12 @@ def test_a_file_overrides_what_it_names_and_keeps_the_rest(tmp_path):
         ("[lens", "expected valid TOML"),
     ],
 )
-def test_a_file_of_nonsense_is_refused_by_field(tmp_path, text, said):
+def test_a_file_of_nonsense_is_refused_by_field(tmp_path, text, message):
     path = tmp_path / "bad.toml"
     path.write_text(text)
     with pytest.raises((SimError, ConfigError)) as caught:
         load_flaws(str(path))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert str(path) in str(caught.value)
 
 

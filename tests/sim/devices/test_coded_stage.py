@@ -104,7 +104,7 @@ def test_labels_tell_right_from_wrong(tmp_path, rig):
         if pattern == "y+":
             shown[7] = 1 - shown[7]  # a lamp that does as it likes
         stage._show(shown)
-        stage._asked[-1] = np.round(levels * 65535).astype(np.uint16)
+        stage._commanded[-1] = np.round(levels * 65535).astype(np.uint16)
         for camera in rig.cameras:
             data = (stage.cameras.folder(camera.id) / NEXT).read_bytes()
             files[pattern, camera.id] = data
@@ -131,13 +131,13 @@ def test_labels_tell_right_from_wrong(tmp_path, rig):
         ),
     )
     labels = stage.labels(root)
-    assert [said.split(" (")[0] for said in labels.mislabelled] == [
+    assert [text.split(" (")[0] for text in labels.mislabelled] == [
         "full by cam2", "x+ by cam1", "x- by cam1", "x- by cam2"
     ]  # fmt: skip
     assert "taken by cam0" in labels.mislabelled[0]
     assert "taken when x- was asked for" in labels.mislabelled[1]
-    assert [said.split(" (")[0] for said in labels.wrong_light] == ["y+ by cam0", "y+ by cam1"]
-    assert "1 lamp shone otherwise than told" in labels.wrong_light[0]
+    assert [text.split(" (")[0] for text in labels.wrong_light] == ["y+ by cam0", "y+ by cam1"]
+    assert "1 lamp shone otherwise than reported" in labels.wrong_light[0]
     assert len(labels.doubled) == 2
     assert labels.missing == ("y+ by cam2",)
     assert labels.right == 12 - 4 - 2 - 1

@@ -76,14 +76,14 @@ def files(exposure):
 
 
 def happened(tmp_path):
-    return [(told.name, told.count) for told in read_fault_log(tmp_path / "log")]
+    return [(happenings.name, happenings.count) for happenings in read_fault_log(tmp_path / "log")]
 
 
 def test_it_tells_everything_that_a_camera_can_be_asked(camera):
-    told = camera(firmware="2.10", owner="A", place="N 48", card_bytes=10**9).summary()
-    assert told.untold() == []
-    assert (told.firmware, told.owner, told.place) == ("2.10", "A", "N 48")
-    assert told.card_free_bytes == 10**9
+    summary = camera(firmware="2.10", owner="A", place="N 48", card_bytes=10**9).summary()
+    assert summary.untold() == []
+    assert (summary.firmware, summary.owner, summary.place) == ("2.10", "A", "N 48")
+    assert summary.card_free_bytes == 10**9
 
 
 def test_every_setting_is_changed_by_its_own_name_and_outlives_its_process(camera):
@@ -96,8 +96,8 @@ def test_every_setting_is_changed_by_its_own_name_and_outlives_its_process(camer
     }  # fmt: skip
     for name, value in wanted.items():
         one.change(name, value)
-    told = one.restart()
-    assert {name: str(getattr(told, name)) for name in wanted} == wanted
+    summary = one.restart()
+    assert {name: str(getattr(summary, name)) for name in wanted} == wanted
     assert set(VERIFIABLE) - set(wanted) == {"serial", "card_free_bytes"}
 
 

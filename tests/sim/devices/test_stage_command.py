@@ -60,8 +60,8 @@ def test_a_simulated_target_becomes_calibration_shots_that_hold(tmp_path, tiny_r
 def test_lines_that_go_on_with_devices_that_are_gone_are_not_passed_on():
     file = io.StringIO()
     echo = Echo(file)
-    said = "Pose 1 of 2: \n  Go on with: lightstage calibrate x\n  Get it\nq stops: "
-    for letter in said:
+    text = "Pose 1 of 2: \n  Go on with: lightstage calibrate x\n  Get it\nq stops: "
+    for letter in text:
         echo(letter)
     assert file.getvalue() == "Pose 1 of 2: \n  Get it\nq stops: "
 

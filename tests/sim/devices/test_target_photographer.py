@@ -55,10 +55,10 @@ def test_another_pose_is_another_picture_and_the_same_one_differs_by_noise(rig, 
 
 def test_settings_are_those_of_the_photographs(rig, tmp_path):
     photographer = TargetPhotographer(rig, "mirror", 3)
-    told = photographer.settings()["cam1"]
-    assert float(told["shutter"]) > 0
-    assert told["iso"] == "100"
-    assert told["aperture"].startswith("f/")
+    stated = photographer.settings()["cam1"]
+    assert float(stated["shutter"]) > 0
+    assert stated["iso"] == "100"
+    assert stated["aperture"].startswith("f/")
 
 
 def test_an_unknown_target_is_refused(rig):

@@ -140,7 +140,7 @@ def test_any_light_however_bright_or_sparse_is_kept(values: list[float], count: 
 
 
 @pytest.mark.parametrize(
-    ("shape", "fill", "said"),
+    ("shape", "fill", "message"),
     [
         ((4, 7, 3), 1.0, "twice as many columns"),
         ((4, 8), 1.0, None),
@@ -151,17 +151,17 @@ def test_any_light_however_bright_or_sparse_is_kept(values: list[float], count: 
     ],
 )
 def test_pictures_that_are_no_light_are_refused(
-    tmp_path: Path, shape: tuple[int, ...], fill: float, said: str | None
+    tmp_path: Path, shape: tuple[int, ...], fill: float, message: str | None
 ) -> None:
     pixels = np.ones(shape, np.float32)
     pixels[..., 0] = fill if fill != 0 else 1.0
     if fill == 0:
         pixels[:] = 0
     write_exr(tmp_path / "e.exr", pixels, half=False)
-    if said is None:
+    if message is None:
         assert load_panorama(tmp_path / "e.exr").radiance.shape == (4, 8, 3)
         return
-    with pytest.raises(FormatError, match=said):
+    with pytest.raises(FormatError, match=message):
         load_panorama(tmp_path / "e.exr")
 
 

@@ -132,10 +132,10 @@ def test_two_runs_do_not_share_a_folder(people):
 
 
 def test_the_list_of_people_counts_every_group(people):
-    said = json.loads((people[0] / "people.json").read_text())
-    assert len(said["people"]) == 2
-    assert sum(said["counts"]["sex"].values()) == 2
-    assert set(said["people"][0]) == {"name", "seed", "sex", "age_years", "tone", "look"}
+    facts = json.loads((people[0] / "people.json").read_text())
+    assert len(facts["people"]) == 2
+    assert sum(facts["counts"]["sex"].values()) == 2
+    assert set(facts["people"][0]) == {"name", "seed", "sex", "age_years", "tone", "look"}
 
 
 def test_a_session_without_its_record_is_somebody_elses(tmp_path):
@@ -162,17 +162,17 @@ def test_the_dataset_command_ends_with_its_facts(tmp_path, run_command):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("--sequence", "sideways"), "sideways"),
         (("--rig", "absent.json"), "absent.json"),
         (("--subject", "lps", "--expression", "smile"), "lps"),
     ],
 )
-def test_bad_input_is_one_message_and_exit_2(tmp_path, arguments, said, run_command):
+def test_bad_input_is_one_message_and_exit_2(tmp_path, arguments, message, run_command):
     given = arguments if "--subject" in arguments else ("--subject", "parametric", *arguments)
     ended = run_command("sim", "session", *given, "--out", tmp_path / "s", "--direct")
     assert ended.code == 2
-    assert said in ended.err
+    assert message in ended.err
     assert "Traceback" not in ended.err
     assert list(tmp_path.iterdir()) == []

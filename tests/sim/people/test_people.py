@@ -71,7 +71,7 @@ GOOD = {
 
 
 @pytest.mark.parametrize(
-    ("entry", "text", "said"),
+    ("entry", "text", "message"),
     [
         ("subjects", "subjects = 0", "subjects"),
         ("subjects", "subjects = 5\nheight = 3", "height"),
@@ -87,10 +87,10 @@ GOOD = {
         ("age", "[[age]]\nfrom_years = 30\nshare = 1", "to_years"),
     ],
 )
-def test_a_wrong_table_is_one_message(tmp_path: Path, entry: str, text: str, said: str) -> None:
+def test_a_wrong_table_is_one_message(tmp_path: Path, entry: str, text: str, message: str) -> None:
     path = tmp_path / "table.toml"
     path.write_text("\n".join((GOOD | {entry: text}).values()) + "\n")
-    with pytest.raises(LightstageError, match=said):
+    with pytest.raises(LightstageError, match=message):
         load_table(str(path))
 
 

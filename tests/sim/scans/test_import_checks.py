@@ -120,13 +120,13 @@ def test_a_few_triangles_without_area_are_dropped_and_many_refused(egg):
 def test_uv_must_be_there_finite_and_in_one_tile(egg):
     with pytest.raises(SimError, match=r"uv: found none.*Unwrap"):
         check_scan(Mesh(egg.vertices, egg.faces), "egg")
-    for bad, said in (
+    for bad, message in (
         (egg.uvs * 2, r"from 0\.?\d* to 2, expected one tile.*UDIM"),
         (egg.uvs - 0.5, "from -0"),
         (np.where(egg.uvs > 0.5, np.nan, egg.uvs), "NaN"),
         (np.full_like(egg.uvs, 0.3), "an unwrapping"),
     ):
-        with pytest.raises(SimError, match=said):
+        with pytest.raises(SimError, match=message):
             check_scan(dataclasses.replace(egg, uvs=bad), "egg")
     nearly, _ = check_scan(dataclasses.replace(egg, uvs=egg.uvs * 1.00005), "egg")
     assert nearly.uvs.max() == 1.0

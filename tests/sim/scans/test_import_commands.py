@@ -19,8 +19,8 @@ def run(monkeypatch, capsys, *arguments):
         main()
     except SystemExit as stop:
         code = int(stop.code or 0)
-    said = capsys.readouterr()
-    return code, said.out, said.err
+    printed = capsys.readouterr()
+    return code, printed.out, printed.err
 
 
 def test_both_commands_are_there():
@@ -31,11 +31,11 @@ def test_both_commands_are_there():
 def test_a_scan_becomes_a_folder_that_a_session_takes(egg, files, tmp_path, monkeypatch, capsys):
     file = files["write_glb"](tmp_path / "egg.glb", egg, files["picture_bytes"](96, 64))
     out = tmp_path / "egg"
-    code, said, _ = run(
+    code, printed, _ = run(
         monkeypatch, capsys, "import-scan", file, "--out", out, "--source", "a hen", "--json"
     )
     assert code == 0
-    facts = json.loads(said.splitlines()[-1])
+    facts = json.loads(printed.splitlines()[-1])
     assert facts["mm_per_unit"] == 1000
     assert facts["holes_mm"] == []
     assert facts["made_up"] == ["specular albedo", "translucency", "roughness", "relief"]
@@ -63,17 +63,17 @@ def test_the_line_of_facts_names_holes_unit_and_what_was_made_up(
     egg, files, tmp_path, monkeypatch, capsys
 ):
     file = files["write_textured_obj"](tmp_path / "egg.obj", egg, files["picture_bytes"](96, 64))
-    code, said, _ = run(
+    code, printed, _ = run(
         monkeypatch, capsys, "import-scan", file, "--out", tmp_path / "e", "--rows", 48
     )
     assert code == 0
     for part in ("triangles", "0 without area dropped", "0 holes", "one unit = 1 mm", "made up"):
-        assert part in said
+        assert part in printed
     assert load_subject_folder(tmp_path / "e").roughness.shape == (48, 32)
 
 
 @pytest.mark.parametrize(
-    ("change", "options", "said"),
+    ("change", "options", "message"),
     [
         (lambda m: m.with_vertices(m.vertices / 10), (), "--units cm"),
         (lambda m: m.with_vertices(m.vertices * [1, 1, np.nan]), (), "NaN"),
@@ -85,7 +85,7 @@ def test_the_line_of_facts_names_holes_unit_and_what_was_made_up(
     ],
 )
 def test_bad_input_exits_2_with_one_message_and_writes_nothing(
-    egg, files, tmp_path, monkeypatch, capsys, change, options, said
+    egg, files, tmp_path, monkeypatch, capsys, change, options, message
 ):
     made = tmp_path / "made"
     made.mkdir()
@@ -96,7 +96,7 @@ def test_bad_input_exits_2_with_one_message_and_writes_nothing(
         monkeypatch, capsys, "import-scan", file, "--out", made / "subject", *options
     )
     assert code == 2
-    assert said in error
+    assert message in error
     assert "Traceback" not in error
     assert len(error.strip().splitlines()) == 1
     assert list(made.iterdir()) == []
@@ -116,12 +116,12 @@ def test_something_else_in_the_way_is_told_before_the_work(tmp_path, monkeypatch
 
 def test_ict_becomes_a_folder(head_data, tmp_path, monkeypatch, capsys):
     out = tmp_path / "person"
-    code, said, error = run(
+    code, printed, error = run(
         monkeypatch, capsys, "import-ict", head_data / "ict_facekit", "--out", out,
         "--seed", 4, "--expression", "smile", "--rows", 96,
     )  # fmt: skip
     assert code == 0, error
-    assert "ict-4, smile, 22991 vertices, 96 rows" in said
+    assert "ict-4, smile, 22991 vertices, 96 rows" in printed
     subject = load_subject_folder(out)
     assert (subject.name, subject.expression) == ("ict-4", "smile")
     assert "USC Institute for Creative Technologies" in subject.source

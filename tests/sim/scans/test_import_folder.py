@@ -87,7 +87,7 @@ def change_json(folder, **fields):
 
 
 @pytest.mark.parametrize(
-    ("fields", "said"),
+    ("fields", "message"),
     [
         ({"schema": "lightstage.subject/2"}, "schema"),
         ({"schema": "lightstage.rig/1"}, "schema"),
@@ -102,9 +102,9 @@ def change_json(folder, **fields):
         ({"head_from_world": "here"}, "expected 3 x 4 numbers"),
     ],
 )
-def test_wrong_fields_are_named(folder, fields, said):
+def test_wrong_fields_are_named(folder, fields, message):
     change_json(folder, **fields)
-    with pytest.raises(LightstageError, match=said):
+    with pytest.raises(LightstageError, match=message):
         load_subject_folder(folder)
 
 

@@ -313,14 +313,14 @@ def test_broken_copies_name_the_file_and_what_is_wrong(tmp_path):
     with pytest.raises(SimError, match=r"jawOpen.obj.*(NaN|convert)"):
         load_ict(folder)
     (face / "jawOpen.obj").write_text(whole)
-    for text, said in (
+    for text, message in (
         ('{"idx_to_landmark_verts": [1, 2]}', r"shape \(2,\), expected 68"),
         ("{}", "KeyError"),
         ("no json", "vertex_indices.json"),
         (json.dumps({"idx_to_landmark_verts": [99] * 68}), "vertex 99, expected indices below"),
     ):
         (face / "vertex_indices.json").write_text(text)
-        with pytest.raises(LightstageError, match=said):
+        with pytest.raises(LightstageError, match=message):
             load_ict(folder)
     (face / "vertex_indices.json").unlink()
     with pytest.raises(LightstageError, match=r"vertex_indices.json: found no such file"):
@@ -328,7 +328,7 @@ def test_broken_copies_name_the_file_and_what_is_wrong(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         (
             {"identity_modes_cm": np.zeros((2, 4, 3), np.float16)},
@@ -340,10 +340,10 @@ def test_broken_copies_name_the_file_and_what_is_wrong(tmp_path):
         ({"uv": None}, "modes.npz"),
     ],
 )
-def test_modes_of_another_count_are_refused(tmp_path, changes, said):
+def test_modes_of_another_count_are_refused(tmp_path, changes, message):
     folder = copy_of(tmp_path / "clone")
     write_modes(folder, **changes)
-    with pytest.raises(LightstageError, match=said):
+    with pytest.raises(LightstageError, match=message):
         load_ict(folder)
 
 

@@ -261,9 +261,9 @@ def test_the_command_makes_targets_and_refuses_a_session_that_is_there(tmp_path)
         save_rig(dataclasses.replace(whole, cameras=whole.cameras[:1]), tmp_path / "rig.json")
     )
     words = ["targets", "--rig", rig_file, "--out", str(out), "--scale", "0.005"]
-    said = CliRunner().invoke(app, [*words, "--flaws", "lab", "--json"])
-    assert said.exit_code == 0, said.output
-    facts = json.loads(said.output.splitlines()[-1])
+    printed = CliRunner().invoke(app, [*words, "--flaws", "lab", "--json"])
+    assert printed.exit_code == 0, printed.output
+    facts = json.loads(printed.output.splitlines()[-1])
     session = load_session(out)
     assert facts["photographs"] == len(session.file.frames)
     assert {camera.dist[0] for camera in session.rig.cameras} == {-0.03}

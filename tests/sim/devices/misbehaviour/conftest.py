@@ -178,7 +178,7 @@ class StandingStage:
         small.captures += 1
         root = root or small.root / f"session{small.captures}"
         order = order or Order(root, plan_shots(patterns or small.patterns, small.rig, small.drive))
-        said, report, labels = "", None, None
+        text, report, labels = "", None, None
         cameras: list[Any] = []
         try:
             with open_rig_leds(coded.device.url(timeout_s, attempts), small.rig) as leds:
@@ -202,7 +202,7 @@ class StandingStage:
                     report = capture_session(stage, order, small.config, operator)
                     labels = coded.labels(root, 0 if order.resume else since)
         except LightstageError as error:
-            said = str(error)
+            text = str(error)
         finally:
             close_cameras(cameras)
         until = time.monotonic() + 5
@@ -211,7 +211,7 @@ class StandingStage:
         assert coded.device.failure is None
         happened = [told.name for told in read_fault_log(self.desk / "faults.jsonl")]
         dark, shone = coded.device.dark, coded.device.states
-        return Ending(said, root, dark, happened, report, labels, shone)
+        return Ending(text, root, dark, happened, report, labels, shone)
 
 
 class Watching(Unattended):

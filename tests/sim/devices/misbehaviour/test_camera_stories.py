@@ -54,7 +54,7 @@ def test_a_picture_that_is_on_the_card_is_fetched_and_not_taken_again(stage, nam
 
 
 @pytest.mark.parametrize(
-    ("fault", "said"),
+    ("fault", "message"),
     [
         (Fault("battery-empty", camera="cam1", at=2), "its battery is empty"),
         (
@@ -65,11 +65,11 @@ def test_a_picture_that_is_on_the_card_is_fetched_and_not_taken_again(stage, nam
     ids=lambda value: value.name if isinstance(value, Fault) else "",
 )
 def test_a_camera_that_cannot_go_on_is_told_with_what_to_do_and_nothing_else_is_lost(
-    stage, fault, said
+    stage, fault, message
 ):
     ending = stage.capture(fault)
     assert set(ending.happened) == {fault.name}
-    for part in ("x+ by cam1", said, "Go on with: lightstage capture --resume --out"):
+    for part in ("x+ by cam1", message, "Go on with: lightstage capture --resume --out"):
         assert part in ending.said
     assert ending.dark
     assert ending.shots() == ["full"]
@@ -207,9 +207,9 @@ def test_a_camera_that_hangs_is_ended_at_its_deadline_and_is_the_same_camera_aft
     processes, tmp_path, seen
 ):
     cameras = processes(Fault("hang", camera="cam1", at=2))
-    told, problems = open_cameras(cameras)
+    happened, problems = open_cameras(cameras)
     assert problems == []
-    assert [summary.serial for summary in told] == ["600", "601", "602"]
+    assert [summary.serial for summary in happened] == ["600", "601", "602"]
     camera = cameras[1]
     assert names(camera.trigger(0.0)) == ["DSC_0001.DNG"]
     camera.deadlines = dataclasses.replace(camera.deadlines, trigger_s=0.5)
@@ -226,8 +226,8 @@ def test_a_camera_that_hangs_is_ended_at_its_deadline_and_is_the_same_camera_aft
     assert names(taken) == ["DSC_0003.DNG"]
     camera.download(taken.files[0].name, tmp_path / "picture")
     assert (tmp_path / "picture").read_bytes() == seen(np.ones(8), 1)
-    told = read_fault_log(tmp_path / "faults.jsonl")
-    assert [(each.device, each.name, each.count) for each in told] == [("cam1", "hang", 2)]
+    happened = read_fault_log(tmp_path / "faults.jsonl")
+    assert [(each.device, each.name, each.count) for each in happened] == [("cam1", "hang", 2)]
 
 
 def names(exposure):

@@ -59,7 +59,7 @@ def test_cameras_draw_each_for_itself():
 
 
 @pytest.mark.parametrize(
-    ("name", "fields", "said"),
+    ("name", "fields", "message"),
     [
         ("dorp", {}, r"found 'dorp', expected one of battery-empty, busy, claimed, corrupt"),
         ("drop", {"when": 3}, r"drop, when: found an unknown field, expected one of at, until"),
@@ -82,8 +82,8 @@ def test_cameras_draw_each_for_itself():
         ("wrong-iso", {"value": 400}, r"value: found 400, expected a text"),
     ],
 )
-def test_what_the_language_does_not_know_is_refused_with_what_it_knows(name, fields, said):
-    with pytest.raises(SimError, match=said):
+def test_what_the_language_does_not_know_is_refused_with_what_it_knows(name, fields, message):
+    with pytest.raises(SimError, match=message):
         Fault(name, **fields)
 
 
@@ -115,7 +115,7 @@ def test_a_story_is_read_from_toml_and_survives_being_handed_on(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("[[fault]]\nname = 'drip'", r"f.toml, \[\[fault\]\] 1.*found 'drip', expected one of"),
         ("[[fault]]\nat = 3", r"\[\[fault\]\] 1.*name: found ''"),
@@ -128,10 +128,10 @@ def test_a_story_is_read_from_toml_and_survives_being_handed_on(tmp_path):
         ("seed = 'x'", "seed: found 'x'"),
     ],
 )
-def test_a_story_file_with_a_mistake_is_refused_at_its_place(tmp_path, text, said):
+def test_a_story_file_with_a_mistake_is_refused_at_its_place(tmp_path, text, message):
     path = tmp_path / "f.toml"
     path.write_text(text)
-    with pytest.raises(SimError, match=said):
+    with pytest.raises(SimError, match=message):
         Story.read(path)
 
 
@@ -148,17 +148,17 @@ def test_the_log_tells_what_happened_when_to_whom(tmp_path):
     log.write(LEDS, story.due(LEDS, "packet", 2)[0], 2, "request")
     # Another process would append to the same file.
     FaultLog(tmp_path / "log.jsonl").write("cam0", story.due("cam0", "shot", 1)[0], 1)
-    told = read_fault_log(tmp_path / "log.jsonl")
-    assert [(t.device, t.name, t.counted, t.count, t.detail) for t in told] == [
+    happened = read_fault_log(tmp_path / "log.jsonl")
+    assert [(t.device, t.name, t.counted, t.count, t.detail) for t in happened] == [
         ("leds", "drop", "packet", 2, "request"),
         ("cam0", "fail", "shot", 1, ""),
     ]
-    assert all(re.fullmatch(r"\d{4}-\d\d-\d\dT[\d:.]+\+00:00", t.time_utc) for t in told)
+    assert all(re.fullmatch(r"\d{4}-\d\d-\d\dT[\d:.]+\+00:00", t.time_utc) for t in happened)
     assert log.names() == ["drop"]
     assert read_fault_log(tmp_path / "none") == []
-    for line, said in (("noise", FormatError), ('{"device": "leds"}', SimError)):
+    for line, message in (("noise", FormatError), ('{"device": "leds"}', SimError)):
         (tmp_path / "log.jsonl").write_text(line + "\n")
-        with pytest.raises(said, match="line 1"):
+        with pytest.raises(message, match="line 1"):
             read_fault_log(tmp_path / "log.jsonl")
 
 
@@ -166,7 +166,9 @@ def test_every_name_and_field_is_in_the_documentation_and_its_example_is_read(tm
     text = (Path(__file__).parents[4] / "docs" / "faults.md").read_text()
     rows = dict(re.findall(r"^\| `([\w-]+)` \| ((?:once|lasts) .*) \|$", text, re.MULTILINE))
     for name, known in NAMES.items():
-        assert rows[name].startswith(f"{'lasts' if known.lasts else 'once'} | {known.says} |"), name
+        assert rows[name].startswith(f"{'lasts' if known.lasts else 'once'} | {known.effect} |"), (
+            name
+        )
         for field in known.fields:
             assert f"`{field}`" in rows[name], (name, field)
     assert set(rows) == set(NAMES)

@@ -93,12 +93,12 @@ def test_a_retake_that_was_cut_short_goes_on_by_resume(stage):
 
 def test_what_a_session_does_not_have_is_one_message(stage, tmp_path):
     root = stage.capture().root
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as caught:
         order_retake(root, ["full", "sideways"], ["cam0", "cam9"])
-    assert "pattern 'sideways'" in str(told.value)
-    assert "camera 'cam9'" in str(told.value)
-    assert "expected full, x+, x-" in str(told.value)
-    assert "cameras after them have blanks: x+,x- cam0 cam1" in str(told.value)
+    assert "pattern 'sideways'" in str(caught.value)
+    assert "camera 'cam9'" in str(caught.value)
+    assert "expected full, x+, x-" in str(caught.value)
+    assert "cameras after them have blanks: x+,x- cam0 cam1" in str(caught.value)
     with pytest.raises(FormatError, match="no such folder, expected the folder of a session"):
         order_retake(tmp_path / "nowhere", ["full"], [])
     done = CliRunner().invoke(app, ["retake", str(root), "full", "cam9", "--leds", "socket://x:1"])

@@ -36,8 +36,8 @@ def test_a_day_with_a_bad_cable_and_a_slow_camera_ends_in_a_whole_session(
     )
     out = tmp_path / "s"
     capture_session(world, out, 5, "full,x+", story=story)
-    told = read_fault_log(faults_path(out))
-    assert sorted(each.name for each in told) == ["corrupt", "duplicate", "event-storm", "slow"]
+    happened = read_fault_log(faults_path(out))
+    assert sorted(each.name for each in happened) == ["corrupt", "duplicate", "event-storm", "slow"]
     session = load_session(out)
     photographer = Photographer(world, 5)
     counts = 2 * tiny_rig.cameras[0].width_px * tiny_rig.cameras[0].height_px
@@ -58,18 +58,18 @@ def test_a_day_on_which_a_camera_dies_says_so_and_leaves_no_finished_session(
     config.write_text("[deadlines]\nabsent_s = 0.5\n")  # it will not come back
     with pytest.raises(SimError, match="exit code 2"):
         capture_session(world, tmp_path / "s", 5, "full,x+", story=story, config=config)
-    said = capfd.readouterr().err
-    assert "x+ by cam1" in said
-    assert "its battery is empty" in said
+    printed = capfd.readouterr().err
+    assert "x+ by cam1" in printed
+    assert "its battery is empty" in printed
     assert (
         "Put in a full battery and switch it on. It does not start again: no camera at any port"
-        in said
+        in printed
     )
-    assert "lightstage capture --resume" in said
+    assert "lightstage capture --resume" in printed
     assert (tmp_path / "s" / "frames" / "x+" / "cam0.dng").is_file()
     assert not (tmp_path / "s" / "session.json").exists()
-    (told,) = read_fault_log(faults_path(tmp_path / "s"))
-    assert (told.device, told.name, told.counted, told.count) == (
+    (finding,) = read_fault_log(faults_path(tmp_path / "s"))
+    assert (finding.device, finding.name, finding.counted, finding.count) == (
         *("cam1", "battery-empty", "shot", 2),
     )
 

@@ -13,12 +13,12 @@ from lightstage.errors import FormatError
 from lightstage.exif import read_exif
 from lightstage.preflight import PreflightConfig
 from lightstage.session import SessionWriter
-from sim.camera.exposure import told_by
+from sim.camera.exposure import with_exposure
 from sim.devices.faults import Fault
 
 HOURS = 3 * 3600.0
 FIRST_SHOT_OF_THE_SECOND = 2  # the first person is photographed under one pattern alone
-UNTOLD = ("clock_offset_s",)
+NOT_REPORTED = ("clock_offset_s",)
 NO_CLOCK = {f"cam{i}": {"clock_offset_s": None} for i in range(3)}
 
 
@@ -64,7 +64,7 @@ def test_the_picture_of_the_person_before_is_refused_kept_aside_and_taken_again(
 
 def test_cameras_without_a_clock_give_no_picture_of_the_session_beside_this_one(stage):
     with stage.standing(stale(), settings=NO_CLOCK) as standing:
-        ending = second(standing, untold=UNTOLD)
+        ending = second(standing, untold=NOT_REPORTED)
     refused_once(ending, "the bytes of full by cam0 in the session session1")
 
 
@@ -83,7 +83,7 @@ def pretend_older(standing):
     """Have the picture on cam0's card say that it was taken a minute before it was."""
     (path,) = (standing.coded.cameras.folder("cam0") / "card").glob("*.DNG")
     taken = read_exif(path).taken - datetime.timedelta(minutes=1)
-    path.write_bytes(told_by(path.read_bytes(), taken=taken.strftime("%Y:%m:%d %H:%M:%S")))
+    path.write_bytes(with_exposure(path.read_bytes(), taken=taken.strftime("%Y:%m:%d %H:%M:%S")))
 
 
 def test_a_clock_that_is_set_in_the_middle_refuses_no_picture(stage):
@@ -111,8 +111,8 @@ def test_a_camera_that_goes_on_giving_old_pictures_stops_the_capture_with_what_t
 def test_an_old_full_that_nothing_tells_is_found_where_it_contradicts_and_taken_again(doubting):
     # Neither clock nor bytes: the first session lies elsewhere. Its x+ becomes the second's full.
     with doubting.standing(stale(), settings=NO_CLOCK) as standing:
-        standing.capture(doubting.root / "elsewhere" / "first", ("x+",), untold=UNTOLD)
-        ending = standing.capture(untold=UNTOLD)
+        standing.capture(doubting.root / "elsewhere" / "first", ("x+",), untold=NOT_REPORTED)
+        ending = standing.capture(untold=NOT_REPORTED)
     assert ending.said == ""
     assert ending.fine
     again = sorted((e["pattern"], e["camera"]) for e in ending.lines("rejected"))

@@ -36,7 +36,7 @@ class FlatField:
             distance of r radii from the principal point.
         per_pixel: (h, w) float32 further gain of each pixel of the mosaic; None: all 1.
         black_offset: (4,) of the mosaic's top left four places in row order: black above what the
-            file says, as a share of white less the highest black; None where there are no darks.
+            file states, as a share of white less the highest black; None where there are no darks.
         hot_pixels: (n, 2) int row, column.
     """
 
@@ -170,7 +170,7 @@ def _field(entry: dict[str, Any], path: Path) -> FlatField:
         raise ValueError("hot pixels")
     own = None
     if entry.get("per_pixel") is not None:
-        name = check_name(entry["per_pixel"], path, "per_pixel")  # it lies beside
+        name = check_name(entry["per_pixel"], path, "per_pixel")  # beside this file
         with np.load(path_inside(path.parent, name, path, "per_pixel"), allow_pickle=False) as file:
             own = file["gain"].astype(np.float32)
         if own.ndim != 2 or not (np.isfinite(own) & (own > 0)).all():

@@ -1,4 +1,4 @@
-"""Discrete Laplacians of a triangle mesh, with which smooth displacements are cheap to ask for."""
+"""Discrete Laplacians of a triangle mesh, which make smooth displacements cheap to solve for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How unlike two colours look: CIELAB and its colour difference of the year 2000."""
+"""Perceived difference of two colours: CIELAB and its colour difference of the year 2000."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def delta_e_2000(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
     Args:
         one: (..., 3) L* a* b*.
-        other: the same.
+        other: (..., 3), the same.
 
     Returns:
         (...); about 1 is just seen side by side.

@@ -1,0 +1,1 @@
+"""The published experiments, and others, as many trainings of which one thing differs."""

@@ -1,0 +1,88 @@
+"""Which pixels of a photograph show the person, and not what is behind.
+
+A fitted mesh never has quite the outline of the person: its scalp and neck reach over the wall. The
+colours of what is surely the face and of what is surely behind tell apart what lies between, by a
+cut through the graph of the pixels [Rother2004].
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from learning.photo.unwrap import smaller
+from learning.render.view import scene_of
+from lightstage.formats.mesh import Mesh
+from lightstage.rig import Camera
+from processing.colour import srgb_from_linear
+
+LARGEST_PX = 320
+"""Longer side of the picture that is cut: what is behind is told by colours, not by detail."""
+ROUNDS = 3
+BESIDE = 0.06
+"""Of the larger side of the head's outline: what is farther outside it is surely behind."""
+LEAST_BEHIND = 0.02
+"""Share of the picture that must be surely behind, to know its colours."""
+
+
+def foreground(rgb_linear: np.ndarray, mesh: Mesh, face: np.ndarray, camera: Camera) -> np.ndarray:
+    """Find the pixels that show the person.
+
+    Args:
+        rgb_linear: (h, w, 3) photograph.
+        mesh: the fitted head, in the camera's world.
+        face: (n,) bool, vertices that surely are the person's.
+        camera: of the photograph.
+
+    Returns:
+        (h, w) bool; all of it where nothing is surely behind the head.
+    """
+    import open3d
+
+    small = smaller(camera, LARGEST_PX)
+    size = (small.width_px, small.height_px)
+    picture = cv2.resize(rgb_linear.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    codes = np.round(255 * np.clip(srgb_from_linear(np.clip(picture, 0, 1)), 0, 1))
+    origin, directions = small.pixel_rays()
+    rays = np.empty((small.height_px * small.width_px, 6), np.float32)
+    rays[:, :3] = origin
+    rays[:, 3:] = directions.reshape(-1, 3)
+    hit = scene_of(mesh).cast_rays(open3d.core.Tensor(rays))
+    triangle = hit["primitive_ids"].numpy().astype(np.int64).reshape(size[::-1])
+    head = np.isfinite(hit["t_hit"].numpy().reshape(size[::-1]))
+    sure = head.copy()
+    sure[head] = face[mesh.triangles()].all(axis=1)[triangle[head]]
+    behind = ~_grown(head, _reach(head))
+    whole = np.ones(rgb_linear.shape[:2], bool)
+    if not sure.any() or behind.mean() < LEAST_BEHIND:
+        return whole
+    marks = np.where(head, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+    marks[behind] = cv2.GC_BGD
+    marks[sure] = cv2.GC_FGD
+    background, foreground = np.zeros((1, 65)), np.zeros((1, 65))
+    anywhere = (0, 0, 0, 0)
+    cv2.setRNGSeed(0)
+    cv2.grabCut(
+        np.ascontiguousarray(codes[..., ::-1].astype(np.uint8)),
+        marks,
+        anywhere,
+        background,
+        foreground,
+        ROUNDS,
+        cv2.GC_INIT_WITH_MASK,
+    )
+    person = np.isin(marks, (cv2.GC_FGD, cv2.GC_PR_FGD)).astype(np.float32)
+    return np.asarray(cv2.resize(person, whole.shape[::-1], interpolation=cv2.INTER_LINEAR) > 0.5)
+
+
+def _reach(head: np.ndarray) -> int:
+    """Pixels beside an outline that are in doubt."""
+    rows, columns = (np.flatnonzero(head.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return 1
+    return max(1, round(BESIDE * max(np.ptp(rows), np.ptp(columns))))
+
+
+def _grown(mask: np.ndarray, reach: int) -> np.ndarray:
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), disc) > 0)

@@ -1,7 +1,0 @@
-"""What evaluation raises."""
-
-from processing.errors import ProcessingError
-
-
-class EvaluationError(ProcessingError):
-    """Result and truth that have nothing to compare."""

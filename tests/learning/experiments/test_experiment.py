@@ -1,0 +1,424 @@
+"""The command `experiment` on three balls: runs, their resumption, its report, what it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from learning.errors import TrainingError
+from learning.experiments import command, work
+from learning.experiments.command import ExperimentRequest, experiment_command, left_line
+from learning.experiments.config import SIZES, sized
+from learning.experiments.drive import run_all
+from learning.experiments.held_out import FIGURES
+from learning.experiments.people import Halves, halves_of, of_variant, store_of, subject_of
+from learning.experiments.variants import EXPERIMENTS, STEPS, TIME, Variant, training_of
+from learning.experiments.work import DONE, STOPPED, Order, one_run
+from learning.patch_config import TrainConfig
+from lightstage.commands import quiet
+from lightstage.errors import ConfigError, LightstageError, MemoryLimitError
+from processing.dataset import open_store
+
+TINY = sized("tiny", {"patch_px": 32}, "test")
+
+
+def asked(name: str, out: Path, data: Path | None, **more: object) -> ExperimentRequest:
+    given = {"size": "tiny", "device": "cpu", **more}
+    return ExperimentRequest(name, out, data, **given)  # type: ignore[arg-type]
+
+
+def run(request: ExperimentRequest) -> dict:
+    return experiment_command(request, quiet, lambda _: None)
+
+
+@pytest.fixture(scope="module")
+def finished(store_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ladder of which three settings are finished."""
+    out = tmp_path_factory.mktemp("ladder") / "out"
+    facts = run(asked("ladder", out, store_path, only="single,modern,modern-refined"))
+    assert (facts["finished"], facts["now"], facts["left"]) == (3, 3, 0)
+    return out
+
+
+def test_a_ladder_leaves_figures_of_each_person_and_light_and_no_weights(finished: Path) -> None:
+    folders = sorted(path.parent for path in finished.glob("runs/*/*/figures.json"))
+    assert [path.name for path in folders] == [
+        "modern-refined-steps-seed0", "modern-steps-seed0", "single-steps-seed0",
+    ]  # fmt: skip
+    for folder in folders:
+        figures = json.loads((folder / "figures.json").read_text())
+        assert figures["state"] == DONE
+        (person,) = figures["people"]
+        assert person["name"] == "person-2"
+        assert list(person["lights"]) == ["target", "side-right"]
+        values = [light[name] for light in person["lights"].values() for name in FIGURES]
+        assert all(0 < value < 1 for value in values)
+        assert (folder / "target.png").is_file()
+    # A refinement needs the network that it refines, but not its optimiser.
+    kept = {path.parent.parent.name for path in finished.rglob("*.safetensors")}
+    assert kept == {"modern-steps-seed0"}
+    assert not list(finished.rglob("training-*.safetensors"))
+
+
+def test_a_second_call_finds_all_done_and_the_report_can_be_written_without_data(
+    finished: Path, store_path: Path
+) -> None:
+    again = run(asked("ladder", finished, store_path, only="single,modern,modern-refined"))
+    assert (again["finished"], again["now"]) == (3, 0)
+    facts = run(asked("ladder", finished, None, report=True))
+    assert facts["finished"] == 3
+    said = (finished / "report.md").read_text()
+    assert "| single network | 80 |" in said
+    assert "another data set, another size" in said
+    assert "1 seed: the intervals hardly include what another seed would give" in said
+    assert "1 person held out: the intervals are too narrow" in said
+    assert "| `modern`, network alone | single network |" in said
+    assert (finished / "reflectance-steps.svg").is_file()
+    assert json.loads((finished / "report.json").read_text())["budgets"][STEPS]["settings"]
+
+
+def test_runs_of_other_code_are_kept_apart_and_named(
+    finished: Path, store_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "code_version", lambda: "9.9+other")
+    run(asked("ladder", finished, None, report=True))
+    # With no run of this code the report is of the code that has most.
+    assert "Code 0." in (finished / "report.md").read_text()
+    folder = finished / "runs" / "9.9+other" / "single-steps-seed0"
+    folder.mkdir(parents=True)
+    some = next(finished.glob("runs/0*/single-steps-seed0/figures.json")).read_text()
+    (folder / "figures.json").write_text(some)
+    run(asked("ladder", finished, None, report=True))
+    said = (finished / "report.md").read_text()
+    assert "Code 9.9+other" in said
+    assert "Runs of other code in this folder are not in the tables: 3 of 0." in said
+
+
+def order_of(store_path: Path, out: Path, variant: str = "single", **more: object) -> Order:
+    config = dataclasses.replace(TINY, steps=4, save_seconds=0.0)
+    (chosen,) = [v for v in EXPERIMENTS["ladder"](config).variants if v.name == variant]
+    halves = halves_of(open_store(store_path), config)
+    order = Order(store_path, out / "runs", out / "shadows", chosen, STEPS, 0, config, halves)
+    return dataclasses.replace(order, **more)  # type: ignore[arg-type]
+
+
+def test_a_run_that_is_stopped_goes_on_and_gives_the_same_figures(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = one_run(order_of(store_path, tmp_path / "whole"))
+    order = order_of(store_path, tmp_path / "stopped")
+    asks = iter([False, False, True])
+    monkeypatch.setattr(Order, "over", lambda _: next(asks, True))
+    assert one_run(order)["state"] == STOPPED
+    assert (order.folder / "training" / "checkpoint.json").is_file()
+    assert not order.finished
+    monkeypatch.undo()
+    again = one_run(order)
+    assert again["state"] == DONE
+    assert again["steps"] == whole["steps"] == 4
+    assert again["people"] == whole["people"]
+
+
+def test_a_training_whose_files_are_gone_begins_again(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order = order_of(store_path, tmp_path)
+    asks = iter([False, False, True])
+    monkeypatch.setattr(Order, "over", lambda _: next(asks, True))
+    one_run(order)
+    monkeypatch.undo()
+    (lost,) = (order.folder / "training").glob("training-*.safetensors")
+    lost.unlink()
+    assert one_run(order)["steps"] == 4
+
+
+def test_a_deadline_and_a_stop_file_keep_a_run_from_beginning(
+    store_path: Path, tmp_path: Path
+) -> None:
+    assert one_run(order_of(store_path, tmp_path, deadline=0.0))["state"] == STOPPED
+    stop = tmp_path / ".stop"
+    stop.touch()
+    assert one_run(order_of(store_path, tmp_path, stop=stop))["state"] == STOPPED
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_seed_that_diverged_is_counted_and_shown_and_other_errors_are_not_taken_for_one(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def diverging(_: object, out: Path, *__: object) -> None:
+        raise TrainingError(out, field="step 3", found="losses that are not finite")
+
+    monkeypatch.setattr(work, "train", diverging)
+    out = tmp_path / "out"
+    facts = run(asked("ladder", out, store_path, only="single"))
+    assert (facts["finished"], facts["diverged"]) == (1, 1)
+    said = (out / "report.md").read_text()
+    assert "1 of 1 seed of single network diverged" in said
+
+    def failing(_: object, where: Path, *__: object) -> None:
+        raise TrainingError(where, field="patches", found="none")
+
+    monkeypatch.setattr(work, "train", failing)
+    with pytest.raises(TrainingError, match="found none"):
+        run(asked("ladder", tmp_path / "other", store_path, only="single"))
+    assert not list((tmp_path / "other").rglob("figures.json"))
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"name": "scene"}, "name: found 'scene', expected 'ladder'"),
+        ({"size": "demo"}, "steps"),
+    ],
+)
+def test_two_experiments_in_one_folder_are_refused(
+    finished: Path, store_path: Path, changed: dict, said: str
+) -> None:
+    request = dataclasses.replace(asked("ladder", finished, store_path), **changed)
+    if changed.get("size") == "demo":
+        config = finished.parent / "held.toml"
+        config.write_text("held_out = 1\n")
+        request = dataclasses.replace(request, config=config)
+    with pytest.raises(ConfigError, match=said):
+        run(request)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"name": "nonsense"}, "expected one of ladder"),
+        ({"size": "huge"}, "--size"),
+        ({"only": "single,double"}, "--only: found 'double'"),
+        ({"jobs": 0}, "--jobs"),
+        ({"seeds": 0}, "--seeds"),
+        ({"stop_after": float("nan")}, "--stop-after"),
+        ({"data": None}, "--data"),
+        ({"device": "abacus"}, "--device"),
+        ({"name": "people", "only": "people-8"}, "2 people to train on, expected 8 or more"),
+    ],
+)
+def test_what_is_asked_wrongly_is_refused_before_anything_is_written(
+    store_path: Path, tmp_path: Path, changed: dict, said: str
+) -> None:
+    request = dataclasses.replace(asked("ladder", tmp_path / "out", store_path), **changed)
+    with pytest.raises(LightstageError, match=said):
+        run(request)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_of_other_files_is_refused(store_path: Path, tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").touch()
+    with pytest.raises(ConfigError, match=r"holds thesis\.tex"):
+        run(asked("ladder", tmp_path, store_path))
+
+
+def test_people_in_both_halves_are_refused_by_name_and_by_their_files(store_path: Path) -> None:
+    store = open_store(store_path)
+    both = dataclasses.replace(
+        TINY, train_names=("person-0", "person-1"), held_out_names=("person-1",)
+    )
+    with pytest.raises(TrainingError, match="person-1 in both"):
+        halves_of(store, both)
+    same = dataclasses.replace(store.scans[2], sha256=store.scans[0].sha256)
+    twice = dataclasses.replace(store, scans=(*store.scans[:2], same))
+    with pytest.raises(TrainingError, match="the same files of person-0 and person-2"):
+        halves_of(twice, TINY)
+    with pytest.raises(TrainingError, match="stranger"):
+        halves_of(store, dataclasses.replace(TINY, held_out_names=("stranger",)))
+    with pytest.raises(TrainingError, match="4 or more"):
+        halves_of(store, dataclasses.replace(TINY, held_out=3))
+
+
+def test_a_setting_trains_on_the_people_that_it_names_and_those_held_out_stay_last(
+    store_path: Path,
+) -> None:
+    store = open_store(store_path)
+    halves = Halves(("person-1", "person-2"), ("person-0",))
+    chosen = of_variant(store, halves, Variant("few", "few", "demo", {}, people=1), TINY, 3)
+    assert len(chosen) == 1
+    assert chosen[0] in halves.trained
+    own = store_of(store, chosen, halves.held_out)
+    names = sorted(scan.subject for scan in own.scans)
+    assert subject_of(names[-1]) == "person-0"
+    assert [scan.index for scan in own.scans] == [0, 1]
+    for scan in own.scans:
+        (original,) = [s for s in store.scans if s.subject == subject_of(scan.subject)]
+        maps = [
+            s.read(i, "diffuse_albedo", slice(0, 9), slice(0, 9))
+            for s, i in ((own, scan.index), (store, original.index))
+        ]
+        np.testing.assert_array_equal(*maps)
+    assert own.fingerprint != store.fingerprint
+
+
+def test_tones_that_are_left_out_are_those_at_the_end_that_is_named(store_path: Path) -> None:
+    store = open_store(store_path)
+    halves = Halves(("person-0", "person-1"), ("person-2",))
+    kept = {
+        without: of_variant(
+            store, halves, Variant("some", "some", "demo", {}, without=without), TINY, 0
+        )
+        for without in ("lightest", "darkest")
+    }
+    (dark,), (light,) = kept["lightest"], kept["darkest"]
+    mean = {
+        scan.subject: store.read(scan.index, "diffuse_albedo", slice(None), slice(None)).mean()
+        for scan in store.scans
+    }
+    assert mean[dark] < mean[light]
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_every_setting_of_every_size_is_a_training_that_its_bounds_allow(
+    name: str, size: str
+) -> None:
+    config = sized(size, {}, "test")
+    experiment = EXPERIMENTS[name](config)
+    assert len({variant.name for variant in experiment.variants}) == len(experiment.variants)
+    for variant in experiment.variants:
+        for budget in (STEPS, TIME):
+            timed = dataclasses.replace(config, seconds=5.0)
+            training = training_of(variant, timed, budget, 7, 2)
+            assert (training.seed, training.held_out_subjects) == (7, 2)
+            assert training.seconds == (5.0 if budget == TIME else None)
+
+
+def test_neighbours_of_the_ladder_differ_by_one_thing() -> None:
+    config = sized("small", {}, "test")
+    rungs = [v for v in EXPERIMENTS["ladder"](config).variants if v.preset == "demo"]
+    trainings = [training_of(v, config, STEPS, 0, 5) for v in rungs]
+    told = []
+    for one, other in itertools.pairwise(trainings):
+        assert isinstance(one, TrainConfig)
+        assert isinstance(other, TrainConfig)
+        flat = [
+            {**vars(t), **{f"data.{k}": v for k, v in vars(t.data).items()}} for t in (one, other)
+        ]
+        told.append({k for k in flat[0] if k != "data" and flat[0][k] != flat[1][k]})
+    assert told == [
+        {"render_weight", "render_norm"}, {"data.whole"}, {"environments"}, {"environments"},
+        {"data.shadow_rows"},
+    ]  # fmt: skip
+
+
+def test_no_training_at_all_and_unknown_keys_are_refused() -> None:
+    with pytest.raises(ConfigError, match="steps, seconds: found 0 each"):
+        sized("small", {"steps": 0, "seconds": 0.0}, "x.toml")
+    with pytest.raises(ConfigError, match="unknown key"):
+        sized("small", {"rungs": 3}, "x.toml")
+    with pytest.raises(ConfigError, match="environments: found 11"):
+        sized("small", {"environments": 11}, "x.toml")
+
+
+def test_how_long_is_left_is_told_by_the_runs_that_are_finished(
+    store_path: Path, tmp_path: Path
+) -> None:
+    orders = [
+        order_of(store_path, tmp_path, variant) for variant in ("single", "rendering", "whole")
+    ]
+    assert "known once one is finished" in left_line(orders, orders, 1, TINY)
+    orders[0].folder.mkdir(parents=True)
+    figures = {
+        "schema": work.FIGURES_SCHEMA, "state": DONE, "seed": 0, "seconds": 300.0,
+    }  # fmt: skip
+    (orders[0].folder / "figures.json").write_text(json.dumps(figures))
+    assert left_line(orders, orders[1:], 1, TINY) == "2 runs of 3 left, about 10 min"
+    assert left_line(orders, orders[1:], 2, TINY) == "2 runs of 3 left, about 5 min"
+    assert left_line(orders, [], 2, TINY) == "all 3 runs are finished"
+
+
+def answered(order: Order) -> dict:
+    return {"state": DONE, "name": order.name}
+
+
+def failed(order: Order) -> dict:
+    raise TrainingError(order.folder, found="nothing")
+
+
+def test_a_refinement_waits_for_the_run_that_it_refines(store_path: Path, tmp_path: Path) -> None:
+    orders = [order_of(store_path, tmp_path, name) for name in ("modern-refined", "modern")]
+    names: list[str] = []
+    run_all(orders, 1, None, lambda _, figures: names.append(figures["name"]), answered)
+    assert names == ["modern-steps-seed0", "modern-refined-steps-seed0"]
+
+
+def test_runs_that_fail_are_named_once_the_others_are_done(
+    store_path: Path, tmp_path: Path
+) -> None:
+    orders = [order_of(store_path, tmp_path, name) for name in ("single", "whole")]
+    ends = run_all(orders, 1, None, lambda *_: None, failed)
+    assert [order.variant.name for order, _ in ends] == ["single", "whole"]
+
+
+def killed(order: Order) -> dict:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return {}
+
+
+def broken(order: Order) -> dict:
+    raise ZeroDivisionError(order.name)
+
+
+def test_a_mistake_in_one_run_leaves_the_others_and_is_raised_as_it_is(
+    store_path: Path, tmp_path: Path
+) -> None:
+    orders = [order_of(store_path, tmp_path, name) for name in ("single", "whole")]
+    ends = run_all(orders, 1, None, lambda *_: None, broken)
+    assert len(ends) == 2
+    assert isinstance(command._failure([error for _, error in ends]), ZeroDivisionError)
+    same = [TrainingError("a store", found="nothing")] * 2
+    assert str(command._failure(list(same))) == str(same[0])
+
+
+def test_a_run_whose_process_is_killed_is_told_in_words(store_path: Path, tmp_path: Path) -> None:
+    order = order_of(store_path, tmp_path, deadline=0.0)
+    with pytest.raises(MemoryLimitError, match="process that was killed"):
+        run_all([order], 2, None, lambda *_: None, killed)
+
+
+def test_processes_do_the_runs(store_path: Path, tmp_path: Path) -> None:
+    order = order_of(store_path, tmp_path, deadline=0.0)
+    ends: list[str] = []
+    run_all([order], 2, None, lambda _, figures: ends.append(figures["state"]), one_run)
+    assert ends == [STOPPED]
+
+
+def test_workers_of_a_scheduler_do_the_runs(store_path: Path, tmp_path: Path) -> None:
+    import distributed
+
+    order = order_of(store_path, tmp_path, deadline=0.0)
+    ends: list[str] = []
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
+    ) as cluster:
+        address = str(cluster.scheduler_address)
+        run_all([order], 1, address, lambda _, figures: ends.append(figures["state"]), one_run)
+    assert ends == [STOPPED]
+
+
+def test_a_scheduler_that_does_not_answer_is_named(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("learning.experiments.drive.ANSWER_S", 0.2)
+    order = order_of(store_path, tmp_path, deadline=0.0)
+    with pytest.raises(ConfigError, match="--scheduler: found nothing that answers"):
+        run_all([order], 1, "tcp://127.0.0.1:9", lambda *_: None, one_run)
+
+
+def test_nothing_is_trained_where_shadows_alone_are_asked_for(
+    store_path: Path, tmp_path: Path
+) -> None:
+    facts = run(
+        asked("ladder", tmp_path / "out", store_path, only="occlusion,modern", prepare=True)
+    )
+    assert (facts["prepared"], facts["to_prepare"]) == (2, 2)
+    assert list((tmp_path / "out" / "shadows").glob("*.npz"))
+    assert not (tmp_path / "out" / "runs").exists()
