@@ -25,7 +25,8 @@ class FitConfig:
         expression_spread: standard deviation of an expression's strength; 1 is its full one.
         refine_seconds: for the search of the light and the skin under it, at most.
         rounds: of light, skin and mask in turns.
-        pixel_rounds: of the shape from pixels and outlines; 0 for landmarks alone.
+        pixel_rounds: of the shape from pixels and outlines after the landmarks, such as 3; 0 for
+            landmarks alone, which were nearer on people kept apart (docs/photo.md).
         pixel_deviation: standard deviation of a pixel's logarithm from that of the model.
         pixel_alike_mm2: so much of the face errs as one.
         albedo_deviation: standard deviation of the albedo's logarithm, beside the mean person's
@@ -47,7 +48,7 @@ class FitConfig:
     expression_spread: float = 0.25
     refine_seconds: float = 20.0
     rounds: int = 2
-    pixel_rounds: int = 3
+    pixel_rounds: int = 0
     pixel_deviation: float = 0.12
     pixel_alike_mm2: float = 15.0
     albedo_deviation: float = 0.02

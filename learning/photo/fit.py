@@ -1,9 +1,9 @@
 """One photograph, or several of one person, to a head: shape, camera, light and texture.
 
-Landmarks tell the camera and a first shape, which pixels and outlines refine. The first photograph
-is then brought into the template's texture; the whole-face network and refinement
-(`learning.whole`) find its light and the skin under it, which also fills what the photograph does
-not show: the skin there, under the same light.
+Landmarks tell the camera and the shape, which pixels and outlines change where the configuration
+has rounds for them. The first photograph is then brought into the template's texture; the
+whole-face network and refinement (`learning.whole`) find its light and the skin under it, which
+also fills what the photograph does not show: the skin there, under the same light.
 """
 
 from __future__ import annotations

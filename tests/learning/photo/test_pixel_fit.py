@@ -1,4 +1,4 @@
-"""A shape from pixels: normals and slopes, what is skipped, what is seen."""
+"""A shape from pixels: normals and slopes, what is skipped, what it gains, bad photographs."""
 
 from __future__ import annotations
 
@@ -15,20 +15,32 @@ from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
 from learning.photo.face_light import Lit, irradiance
 from learning.photo.face_places import turned_normals
-from learning.photo.fit import Places
+from learning.photo.fit import Photograph, Places, Shape, fit_shape
 from learning.photo.landmark_fit import Problem, Sighting
 from learning.photo.model import ShapeModel
 from learning.photo.outline import outline
 from learning.photo.picture import read_photograph
 from learning.photo.pixel_fit import PixelFit, State, skin, visible
-from lightstage.formats.mesh import vertex_normals
+from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.formats.template import Template
 from tests.learning.photo.scene import FOCAL_PX, HEIGHT_PX, WIDTH_PX, Shot, camera_at
+
+FACE_MM = 80.0
 
 
 @pytest.fixture(scope="module")
 def network() -> WholeFaceNetwork:
     return load_whole_face(shipped_weights())[0]
+
+
+def photograph(shot: Shot, seed: int = 0, percent: float = 3.0) -> Photograph:
+    """A person's photograph, its landmarks moved together and each on its own."""
+    rng = np.random.default_rng(seed)
+    rgb, _ = read_photograph(shot.path)
+    known = np.isfinite(shot.landmarks_px).all(axis=1)
+    size = percent / 100 * 2 * np.prod(shot.landmarks_px[known].std(axis=0)) ** 0.5
+    moved = shot.landmarks_px + size * rng.normal(size=shot.landmarks_px.shape)
+    return Photograph("photo", rgb, moved, FOCAL_PX)
 
 
 @pytest.fixture(scope="module")
@@ -181,6 +193,46 @@ def test_a_lamp_without_strength_changes_nothing(search: tuple[PixelFit, State])
     np.testing.assert_allclose(without, slopes, atol=1e-9)
 
 
+def off_mm(found: np.ndarray, true: Mesh, template: Template) -> float:
+    """Distance along the true normals after the best similarity, mean over the face."""
+    mean = template.mesh.vertices
+    near = np.linalg.norm(mean - mean[template.landmarks[30]], axis=1) < FACE_MM
+    normals = vertex_normals(true.vertices, true.triangles())
+    face = near & (vertex_normals(mean, true.triangles())[:, 2] > 0.3)
+    one, two = found[face], true.vertices[face]
+    one, two = one - one.mean(axis=0), two - two.mean(axis=0)
+    left, size, right = np.linalg.svd(two.T @ one)
+    off = size.sum() / (one**2).sum() * one @ (left @ right).T - two
+    return float(np.abs((off * normals[face]).sum(axis=1)).mean())
+
+
+def shape_of(
+    photo: Photograph,
+    template: Template,
+    places: Places,
+    network: WholeFaceNetwork,
+    config: FitConfig,
+) -> Shape:
+    return fit_shape([photo], template, places, config, network=network)
+
+
+def test_pixels_bring_a_person_outside_the_modes_nearer(
+    shot: Shot, template: Template, places: Places, network: WholeFaceNetwork
+) -> None:
+    # Without the template's modes the person is none that the model was made of.
+    config = FitConfig(identity_modes=0, pixel_rounds=2)
+    photo = photograph(shot)
+    alone = shape_of(photo, template, places, network, dataclasses.replace(config, pixel_rounds=0))
+    found = shape_of(photo, template, places, network, config)
+    before, after = (
+        off_mm(shape.meshes[0].vertices, shot.mesh, template) for shape in (alone, found)
+    )
+    assert after < 0.9 * before
+    # What the pixels tell makes the answer more certain.
+    face = found.model.face
+    assert found.deviation_mm[face].mean() < 0.9 * alone.deviation_mm[face].mean()
+
+
 def test_a_hand_before_the_cheek_loses_its_weight(search: tuple[PixelFit, State]) -> None:
     fit, _ = search
     mean = fit.places.model.mean
@@ -193,6 +245,26 @@ def test_a_hand_before_the_cheek_loses_its_weight(search: tuple[PixelFit, State]
     assert np.median(found[~hand]) > 0.9
     nothing = skin(fit.places, off, np.zeros(len(hand)))
     assert np.isfinite(nothing).all()
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, np.nan, np.inf])
+def test_a_photograph_that_shows_nothing_leaves_the_landmarks_shape(
+    value: float,
+    shot: Shot,
+    template: Template,
+    places: Places,
+    network: WholeFaceNetwork,
+) -> None:
+    photo = photograph(shot)
+    empty = dataclasses.replace(photo, rgb_linear=np.full_like(photo.rgb_linear, value))
+    config = FitConfig(pixel_rounds=1)
+    found = shape_of(empty, template, places, network, config)
+    assert np.isfinite(found.meshes[0].vertices).all()
+    assert np.isfinite(found.deviation_mm).all()
+    if value == 0.0:
+        alone = shape_of(empty, template, places, network, FitConfig(pixel_rounds=0))
+        moved = np.linalg.norm(found.meshes[0].vertices - alone.meshes[0].vertices, axis=1)
+        assert moved[found.model.face].mean() < 0.5
 
 
 def test_outlines_lie_where_the_head_ends(template: Template) -> None:
