@@ -71,7 +71,7 @@ def camera_at(head: Head, yaw_deg: float, scale: float = 1.0) -> Camera:
 
 
 def photograph(
-    head: Head, texture: np.ndarray, yaw_deg: float, there: np.ndarray, scale: float
+    head: Head, texture: np.ndarray, yaw_deg: float, there: np.ndarray, scale: float = 1.0
 ) -> Photograph:
     """An 8-bit photograph of a lit head, its face found.
 
