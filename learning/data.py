@@ -76,7 +76,7 @@ class DataConfig:
         target: `one` environment for the whole training, around which all inputs and all draws of
             the rendering loss lie, as published; or `each` set of a scan has its own.
         shadow_sets: sets of light positions per scan around the one target, or targets per scan.
-        specular_frame: specular normals are told in the shape's `tangent` space, as published, or
+        specular_frame: specular normals are in the shape's `tangent` space, as published, or
             in the axes of the `head`.
         relative: tell colours against the lit texture's mean and normals against the shape's
             (see learning.encoding); the published networks do not.

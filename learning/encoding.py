@@ -5,13 +5,13 @@ specular albedo linearly over 0..0.1, normals as they are.
 
 Instance norm takes a patch's mean away in the first layer, so the tone of the skin would reach the
 output only through its contrast with eyes and hair, which takes long to learn. With a `relative`
-tone, colours are told against the mean colour of the whole lit texture: the tone goes around the
+tone, colours are relative to the mean colour of the whole lit texture: the tone goes around the
 network, and what it learns is how shading relates to albedo. For the same reason normals are then
-told in the frame of the shape's own. The published encoding is absolute.
+in the frame of the shape's own. The published encoding is absolute.
 
 Skin is nearly of one tone: a flat albedo is some 3 % wrong, so in a few hundred steps losses teach
 nothing of brows, lips and moles, and a network without a way around its bottleneck does not show
-them. With a reference of `detail`, albedo is told against the texture's local contrast too: a
+them. With a reference of `detail`, albedo is relative to the texture's local contrast too: a
 constant output is then the texture with its slow light taken out, and what is learned are the edges
 of shadows, the highlights and the tones of regions.
 """
@@ -36,9 +36,9 @@ OWN_CHANNELS = 10
 SPECULAR_MOST = 0.1
 """Specular albedo that stands for 1; skin has about 0.03."""
 TEXTURE_HEADROOM = 4.0
-"""Brightest lit texel told apart, in units of the texture's colour."""
+"""Brightest lit texel that is distinguished, in units of the texture's colour."""
 ALBEDO_HEADROOM = 10.0
-"""Brightest albedo told apart, in the same units: the white of an eye in dim light."""
+"""Brightest albedo that is distinguished, in the same units: the white of an eye in dim light."""
 DETAIL_FLOOR = 0.02
 """Added to sRGB-encoded colours before their ratio is taken, so that black has no contrast."""
 DARK = 0.1
@@ -66,7 +66,7 @@ def linear_from_srgb(image: Tensor) -> Tensor:
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """What colours and normals are told against.
+    """What colours and normals are relative to.
 
     Attributes:
         texture: (B, 3, 1, 1) linear colour that is encoded as white in the input.
@@ -88,7 +88,7 @@ def absolute_reference(shape_normal: Tensor, specular_frame: SpecularFrame) -> R
 
     Args:
         shape_normal: (B, 3, h, w) of the patch; zero where no surface is.
-        specular_frame: as published, specular normals are told in tangent space and diffuse ones in
+        specular_frame: as published, specular normals are in tangent space and diffuse ones in
             the head's axes [Lattas2020].
     """
     ones = shape_normal.new_ones(len(shape_normal), 3, 1, 1)

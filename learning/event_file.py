@@ -60,7 +60,7 @@ def record(data: bytes) -> bytes:
 
 
 def event(wall_time_s: float, step: int, values: Mapping[str, float]) -> bytes:
-    """An `Event` with scalars; `step` is not negative, numbers are told as float32."""
+    """An `Event` with scalars; `step` is not negative, numbers are stored as float32."""
     summary = b"".join(
         _field(
             1,

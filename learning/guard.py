@@ -7,7 +7,7 @@ import math
 import statistics
 
 BEGINNING = 4
-"""Steps whose mean tells what the loss was before the training."""
+"""Steps whose mean is the loss before the training."""
 WINDOW = 50
 """Steps whose mean is compared: one batch may be five times as hard as the next."""
 LEAP = 5.0

@@ -36,7 +36,7 @@ LEAST_LIKENESS, MORE_LIKE = 0.1, 0.1
 it is turned over, and how much more than as it is. Upright ones have 0.02 to 0.8, and less when
 they are turned over, by 0.05 to 0.5."""
 SURROUNDINGS = 1 / 12
-"""Standard deviation of the blur that tells a pattern from light, of the rows."""
+"""Standard deviation of the blur that separates a pattern from light, as a share of the rows."""
 MOST_TEXELS = 2**28
 """Texels of a texture, at most: ten times the published 6144 x 4096."""
 
@@ -134,7 +134,7 @@ def look_through(texture: np.ndarray, covered: np.ndarray, where: str | Path) ->
         where: what to name in an error.
 
     Returns:
-        What is worth saying, a line each.
+        Notes for the user, a line each.
 
     Raises:
         MapsError: hardly a texel that was photographed, or one exposed far too much or too little.

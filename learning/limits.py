@@ -1,4 +1,4 @@
-"""What a training, or a fit, may be configured as: bounds of every number, told before all work.
+"""What a training, or a fit, may be configured as: bounds of every number, checked before all work.
 
 A width of minus one, a patch that the network's strides do not divide or a network of a terabyte
 end here in one message, not in a library's traceback.

@@ -54,7 +54,7 @@ def looks_encoded(albedo: np.ndarray, covered: np.ndarray) -> bool:
     """Whether a linear albedo looks like an 8-bit sRGB picture that was not decoded.
 
     Such a picture's histogram has values at multiples of 1/255 alone. Half floats hold those to
-    one part in 2048, so a level is told from its neighbours up to 1.
+    one part in 2048, so a level differs from its neighbours up to 1.
     """
     some = albedo[covered].astype(np.float64) * GREY_LEVELS
     if not some.size or some.max() > GREY_LEVELS + 0.1 or len(np.unique(some.round())) < 8:

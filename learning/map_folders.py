@@ -22,7 +22,7 @@ def require_texture_maps(folder: Path) -> None:
         folder: as given by `--maps`.
 
     Raises:
-        MapsError: no folder; several folders of maps below, told with what each is; none at all; a
+        MapsError: no folder; several folders of maps below, listed with their kinds; none at all; a
             view's maps, which are pictures of one camera.
     """
     if not folder.is_dir():

@@ -23,7 +23,7 @@ from lightstage.interrupts import interrupted
 AT_ONCE = 1 << 24
 """Numbers that are averaged by one message, about: the largest copy of gradients that is held."""
 VARIABLES = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
-"""Of the environment, by which torchrun tells a process which one it is [TorchElastic2021]."""
+"""Variables of the environment in which torchrun gives a process its number [TorchElastic2021]."""
 
 
 @dataclasses.dataclass(frozen=True)

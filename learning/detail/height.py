@@ -20,7 +20,7 @@ TOLERANCE = 1e-4
 are within a ten-thousandth of those at 1e-6 by then, in a third of the rounds."""
 MOST_ROUNDS = 300
 LEAST_FACING = 0.2
-"""Cosine between a fine normal and the mesh's below which the fine one tells no height."""
+"""Cosine between a fine normal and the mesh's below which the fine one determines no height."""
 SEAM = 10.0
 """Times the median step between neighbours beyond which they lie on two sides of a seam."""
 
@@ -141,7 +141,7 @@ class _Rectangle:
         hold = _mean_of_counted(steps.hold)
         waves = across * (2 - 2 * np.cos(np.pi * np.arange(columns) / columns))[None, :]
         waves = waves + down * (2 - 2 * np.cos(np.pi * np.arange(rows) / rows))[:, None]
-        # A constant is told by nothing but `hold`; where that is nothing it stays as it is.
+        # Only `hold` determines a constant; where it is 0 the constant stays as it is.
         self._scale = 1 / np.maximum(waves + hold, 1e-9 * max(across, down, 1e-30))
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:

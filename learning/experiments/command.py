@@ -153,7 +153,7 @@ def experiment_command(
 def _failure(errors: list[Exception]) -> Exception:
     """What a command whose runs failed ends with: a mistake of this software goes first."""
     ours = [error for error in errors if not isinstance(error, LightstageError)]
-    # The same fault in fifty runs is told once.
+    # The same fault in fifty runs is reported once.
     told = {str(error): error for error in errors if isinstance(error, LightstageError)}
     return ours[0] if ours else one_error(list(told.values()))
 

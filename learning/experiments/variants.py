@@ -141,7 +141,7 @@ def scenes(config: ExperimentConfig) -> Experiment:
 
 
 def encodings(config: ExperimentConfig) -> Experiment:
-    """Colours told as they are, or against the lit texture's."""
+    """Colours as they are, or relative to the lit texture's."""
     lit = {"render_weight": config.render_weight}
     absolute = {"relative": False, "detail_px": 0.0}
     no_detail = {"relative": True, "detail_px": 0.0}

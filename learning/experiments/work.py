@@ -75,7 +75,7 @@ PICTURE_ROWS = 384
 
 @dataclasses.dataclass(frozen=True)
 class Order:
-    """What a worker is told.
+    """What a worker is to do.
 
     Attributes:
         data: the store.

@@ -172,7 +172,7 @@ def _require_shape(mesh: Mesh, where: Path) -> None:
 
 
 def _read_maps(folder: Path) -> dict[str, np.ndarray]:
-    """The maps that are exported, and the one of positions, which tells whose they are."""
+    """The maps that are exported, and the one of positions, which shows whose they are."""
     maps: dict[str, np.ndarray] = {}
     for name in (*NEEDED, *OPTIONAL, "position"):
         path = folder / f"{name}.exr"

@@ -1,1 +1,1 @@
-"""Pores and folds: how they tilt the surface beside the mesh, told by their shading."""
+"""Pores and folds: how they tilt the surface beside the mesh, found from their shading."""

@@ -78,7 +78,7 @@ class PatchPool:
         """Light the scans of `subjects` in turn and cut patches out of them.
 
         Raises:
-            TrainingError: no patch tells of enough skin.
+            TrainingError: no patch shows enough skin.
         """
         self._config = config
         how = FacesConfig(shadow_sets=config.shadow_sets)
@@ -140,7 +140,7 @@ def mirrored(image: Tensor, across: tuple[int, int]) -> Tensor:
 
 
 def lit_texture(pair: LargePair, config: LitPatchesConfig, rng: np.random.Generator) -> LitTexture:
-    """What a texture tells under a light that was found nearly, and the truth.
+    """What a texture shows under a light that was found nearly, and the truth.
 
     Args:
         pair: a lit scan.

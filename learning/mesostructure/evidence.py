@@ -1,4 +1,4 @@
-"""What a texture over its own light tells of the surface's small tilts.
+"""What a texture over its own light shows of the surface's small tilts.
 
 A surface that is tilted by t (its normal's components along the texture's columns and rows) gets
 E + dE . t in place of the light E of the shape: a texture's grey detail, divided by the slope
@@ -19,13 +19,13 @@ CHANNELS = 9
 """Detail's logarithm 3, slope 2, the tilt that would explain the detail 2, the light's level 1,
 known or not 1."""
 WIDEST = 1 / 96
-"""Standard deviation of the blur that what is wider than detail is told by, of the rows."""
+"""Standard deviation of the blur that leaves what is wider than detail, as a share of the rows."""
 MOST_DETAIL = 1.0
 """Logarithm at which detail is cut: hairs and errors of edges."""
 MOST_SLOPE = 3.0
 """At grazing light the slope grows without bounds."""
 STEADY_SLOPE = 0.3
-"""Below it a tilt cannot be told from noise."""
+"""Below it a tilt cannot be separated from noise."""
 MOST_TILT = 0.9
 """Sine of the largest tilt."""
 NEAREST_MM = 1.0
@@ -128,7 +128,7 @@ def slope_of(
         toward = lamp - position_mm
         distance = np.maximum(np.linalg.norm(toward, axis=2), NEAREST_MM)
         facing = (toward * frame.normal).sum(axis=2) > 0
-        # Strength is told at the origin, and falls off with the square of the distance from there.
+        # Strength is that at the origin, and falls off with the square of the distance from there.
         weight = power * share * facing * (lamp @ lamp) / distance**3
         slope[..., 0] += weight * (toward * frame.across).sum(axis=2)
         slope[..., 1] += weight * (toward * frame.up).sum(axis=2)

@@ -70,7 +70,7 @@ def find(
     Args:
         trained: the network.
         unlit: (rows, columns, 3) texture over its light, see `learning.whole.unlit`.
-        known: (rows, columns) bool, where that tells of skin.
+        known: (rows, columns) bool, where that shows skin.
         slope: (h, w, 2), see `evidence.slope_of`, of any size.
         level: (h, w) irradiance.
 

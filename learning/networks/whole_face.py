@@ -24,7 +24,7 @@ BANDS = 4
 DARKEST = 1e-3
 """Linear value below which a colour's logarithm says nothing more."""
 POSITION_MM = 100.0
-"""Positions are told in this unit, so that they are about as large as normals are."""
+"""Unit of positions, so that they are about as large as normals are."""
 UNSURE = 0.3
 """Share of people's variance that a network leaves open, until its errors were measured."""
 RIDGE = 0.01

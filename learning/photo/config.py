@@ -13,8 +13,8 @@ class FitConfig:
         rows: of the texture, a multiple of 3 (rows : columns = 3 : 2).
         landmark_percent: standard deviation of a landmark, of the distance between the eyes'
             outer corners.
-        focal_spread: standard deviation of the focal length's logarithm where no file tells it.
-        focal_told_spread: the same where EXIF tells it.
+        focal_spread: standard deviation of the focal length's logarithm where no file states it.
+        focal_told_spread: the same where EXIF states it.
         identity_modes: of the template, at most.
         depth_deviation: standard deviation of a face's depth, of the template's.
         free_modes: smooth changes of the shape beside the template's modes.

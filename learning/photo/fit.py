@@ -71,7 +71,7 @@ class Photograph:
         name: for messages.
         rgb_linear: (h, w, 3) float32, 1 = the picture's white.
         landmarks_px: (p, 2), NaN where hidden.
-        focal_px: where the file tells it.
+        focal_px: where the file states it.
     """
 
     name: str

@@ -17,7 +17,7 @@ from lightstage.rig import Camera
 from processing.colour import srgb_from_linear
 
 LARGEST_PX = 320
-"""Longer side of the picture that is cut: what is behind is told by colours, not by detail."""
+"""Longer side of the picture that is cut: colours separate what is behind, not detail."""
 ROUNDS = 3
 BESIDE = 0.06
 """Of the larger side of the head's outline: what is farther outside it is surely behind."""

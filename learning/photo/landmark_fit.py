@@ -43,7 +43,7 @@ class Sighting:
         points_px: (p, 2), NaN where there is none; the top-left pixel's centre is (0.5, 0.5).
         width_px: of the picture.
         height_px: of the picture.
-        focal_px: where the file tells it, else None.
+        focal_px: where the file states it, else None.
         sigma_px: standard deviation of a landmark; None for the configuration's share of the eyes'
             distance.
     """

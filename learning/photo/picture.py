@@ -1,4 +1,4 @@
-"""A photograph's file: linear light, and the focal length that it tells."""
+"""A photograph's file: linear light, and the focal length that it states."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lightstage.exif import read_exif
 from lightstage.formats.exr import read_exr
 
 FILM_MM = 36.0
-"""Width of the film that a 35 mm equivalent is told for."""
+"""Width of the film to which a 35 mm equivalent refers."""
 LARGEST_PX = 6000
 """Longer side above which a photograph is made smaller: a texture shows no more."""
 SMALLEST_PX = 64
@@ -27,7 +27,7 @@ def read_photograph(path: Path, film_mm: float | None = None) -> tuple[np.ndarra
 
     Args:
         path: the file.
-        film_mm: 35 mm equivalent of the focal length, in place of what the file tells.
+        film_mm: 35 mm equivalent of the focal length, in place of what the file states.
 
     Returns:
         (h, w, 3) float32 linear, upright, and the focal length in pixels or None.
@@ -61,7 +61,7 @@ def read_photograph(path: Path, film_mm: float | None = None) -> tuple[np.ndarra
 
 
 def _focal(path: Path, longer_px: int, film_mm: float | None) -> float | None:
-    """Focal length in pixels of the file as it is; None where nobody tells it."""
+    """Focal length in pixels of the file as it is; None where nothing states it."""
     if film_mm is not None:
         least, most = (FILM_MM * share for share in FOCAL_RANGE)
         if not least <= film_mm <= most:

@@ -93,7 +93,7 @@ def _surface_points(
     seen = np.ones(lines.shape[:2], bool)
     there = np.ones(lines.shape[1], bool)
     near = _on_mesh(head, _meeting(origins, lines, seen, config))
-    # What sees a place can be told only when it is known about where it is.
+    # Which cameras see a place is known only once its approximate position is.
     for _ in range(2):
         sees = _sees(head, near, origins, config.facing)
         there &= sees.sum(axis=0) >= config.fewest_views

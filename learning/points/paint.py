@@ -48,7 +48,7 @@ def painted(template: Template) -> np.ndarray:
     ball[template.regions.get("eyes", np.zeros(0, int))] = True
     for first, corner in EYES:
         rim = marks[first : first + 6]
-        # The iris looks ahead: it is told by x and y alone.
+        # The iris looks ahead: x and y alone determine it.
         away = np.linalg.norm((vertices - rim.mean(axis=0))[:, :2], axis=1)
         colours[ball & (away < IRIS_MM)] = IRIS
         colours[ball & (away < PUPIL_MM)] = PUPIL

@@ -24,7 +24,7 @@ STEPS = 4
 SEAM = 6.0
 """Neighbours this many times the median distance apart lie on two sides of a seam."""
 SAMPLE = 7
-"""Every so manieth texel tells the median distance."""
+"""The median distance is taken over every so manieth texel."""
 
 
 class Diffusion:

@@ -16,7 +16,7 @@ from learning.render.texel_blocks import NEAREST_MM, Lights, Skins, tasks_of
 
 
 class Inputs(NamedTuple):
-    """What `FusedLight.apply` takes, in its order; also what is asked of each, and its worth.
+    """What `FusedLight.apply` takes, in its order; also which gradients are wanted, and these.
 
     Attributes:
         position: (B, 3, n) mm.
@@ -111,7 +111,7 @@ class FusedLight(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, of_irradiance: Tensor, of_lobes: Tensor) -> Inputs:
-        """What each of the inputs is worth; None where it is not asked for."""
+        """The gradient of each of the inputs; None where it is not asked for."""
         light_mm, distant, lobes = ctx.saved_tensors[-3:]
         skins, lights = ctx.arrays
         asked = Inputs(*ctx.needs_input_grad)
@@ -159,7 +159,7 @@ class FusedLight(torch.autograd.Function):
 
 
 def _of_places(light_mm: Tensor, distant: Tensor, sums: Tensor) -> Tensor:
-    """What the lights' places are worth, from what x, y, z and |P|^2 of packed lights are."""
+    """Gradient of the lights' places, from that of x, y, z and |P|^2 of packed lights."""
     near = sums[..., :3] + 2 * light_mm * sums[..., 3:4]
     scale = light_mm.square().sum(dim=-1, keepdim=True).clamp_min(1e-30).rsqrt()
     direction = light_mm * scale

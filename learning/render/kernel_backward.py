@@ -42,7 +42,7 @@ LIGHT_SUMS = 7
 
 
 class Shaded(NamedTuple):
-    """The two sums of `kernel_forward.forward`, or what they are worth: (B, 3, n) each."""
+    """The two sums of `kernel_forward.forward`, or the gradients of both: (B, 3, n) each."""
 
     irradiance: np.ndarray
     lobes: np.ndarray
@@ -59,7 +59,7 @@ class Asked(NamedTuple):
 
 
 class Gradients(NamedTuple):
-    """What the inputs are worth; all start as zeros.
+    """Gradients with respect to the inputs; all start as zeros.
 
     Attributes:
         position: (B, 3, n), or (B, 3, 0) where not asked for; so are the next ones.
@@ -94,10 +94,10 @@ def start_worths(
     lobes: np.ndarray,
     worth: Shaded,
 ) -> bool:
-    """Start a block: what its sums are worth, the lobe's before it was normalised.
+    """Start a block: gradients of its sums, the lobe's before it was normalised.
 
     Returns:
-        Whether the lobe is worth anything.
+        Whether the lobe has a gradient.
     """
     gloss = False
     zero = buf.dtype.type(0.0)
@@ -121,7 +121,7 @@ def start_worths(
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
 def write_worths(buf: np.ndarray, texel: np.ndarray, count: int, entry: int, of: Gradients) -> None:
-    """Write what the maps are worth that are asked for."""
+    """Write the gradients of the maps that are asked for."""
     for k in range(3):
         for t in range(count):
             n = texel[t]
@@ -153,7 +153,7 @@ def backward(
         lights: as forward.
         paper: as forward.
         lobes: (B, 3, n), what forward filled.
-        worth: of what forward filled.
+        worth: gradients with respect to what forward filled.
         asked: what is computed.
         of: is filled.
     """

@@ -3,7 +3,7 @@
 With T the way to the light, i = 1 / |T|, a, b, c the cosines at diffuse normal, specular normal and
 view, r the reach |P|^2 i^2 and h the cosine at the half vector, a light gives
 D = max(a, 0) r seen and S = h^s max(b, 0) r seen. Each function below is one step of the chain rule
-from what D and S are worth (u and w) back to the block's fields.
+from the gradients of D and S (u and w) back to the block's fields.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from learning.render.lanes_math import ANY_ORDER, exp, log
 from learning.render.texel_blocks import INV, LEN, NARROWEST, ND, NS, NSV, SEEN, TEXELS, A, B, S, V
 
 P = rows.P
-GE, GL = rows.ROWS, rows.ROWS + 3  # worth of the sums E and LOBE
+GE, GL = rows.ROWS, rows.ROWS + 3  # gradients of the sums E and LOBE
 GND, GNS, GV, GP = GE + 6, GE + 9, GE + 12, GE + 15
 GS, GNSV = GE + 18, GE + 19
-# Of one light: worth of a, b, c, reach and visibility; D and S.
+# Of one light: gradients of a, b, c, reach and visibility; D and S.
 GA, GB, GC, GR, GSEEN, D, SS = GE + 20, GE + 21, GE + 22, GE + 23, GE + 24, GE + 25, GE + 26
 GRADIENT_ROWS = GE + 27
 
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
 def diffuse_worth(buf: np.ndarray, light: np.ndarray, paper: bool) -> None:
-    """Start a light: D, and what a, the reach and the visibility are worth through it."""
+    """Start a light: D, and the gradients of a, the reach and the visibility through it."""
     zero, one = buf.dtype.type(0.0), buf.dtype.type(1.0)
     power, red, green, blue = light[4], light[6], light[7], light[8]
     for t in range(TEXELS):
@@ -47,7 +47,7 @@ def diffuse_worth(buf: np.ndarray, light: np.ndarray, paper: bool) -> None:
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
 def specular_worth(buf: np.ndarray, light: np.ndarray, paper: bool) -> None:
-    """Add the lobe's part: S, and what b, c, the exponent and the rest are worth through it."""
+    """Add the lobe's part: S, and the gradients of b, c, the exponent and the rest through it."""
     zero, one, two = buf.dtype.type(0.0), buf.dtype.type(1.0), buf.dtype.type(2.0)
     narrow, tiny = buf.dtype.type(NARROWEST), buf.dtype.type(1e-30)
     lx, ly, lz, near = light[0], light[1], light[2], light[3]
@@ -90,7 +90,7 @@ def specular_worth(buf: np.ndarray, light: np.ndarray, paper: bool) -> None:
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
 def normal_worth(buf: np.ndarray, light: np.ndarray) -> None:
-    """Add a light's share to what the two normals are worth."""
+    """Add a light's share to the gradients of the two normals."""
     lx, ly, lz, near = light[0], light[1], light[2], light[3]
     for t in range(TEXELS):
         inverse = buf[INV * TEXELS + t]
@@ -108,7 +108,7 @@ def normal_worth(buf: np.ndarray, light: np.ndarray) -> None:
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
 def place_worth(buf: np.ndarray, light: np.ndarray, paper: bool, out: np.ndarray) -> None:
-    """Add a light's share to what position and view are worth; out gets the light's x y z |P|^2."""
+    """Add a light's share to the gradients of position and view, and the light's own to out."""
     zero, two = buf.dtype.type(0.0), buf.dtype.type(2.0)
     lx, ly, lz, near, power, least = light[0], light[1], light[2], light[3], light[4], light[5]
     gx, gy, gz, of_power = zero, zero, zero, zero
@@ -149,7 +149,7 @@ def place_worth(buf: np.ndarray, light: np.ndarray, paper: bool, out: np.ndarray
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
 def colour_worth(buf: np.ndarray, out: np.ndarray) -> None:
-    """Add what a light's red, green and blue are worth to out[4:7]."""
+    """Add the gradient of a light's red, green and blue to out[4:7]."""
     for k in range(3):
         total = buf.dtype.type(0.0)
         for t in range(TEXELS):
@@ -160,7 +160,7 @@ def colour_worth(buf: np.ndarray, out: np.ndarray) -> None:
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
 def through_unit(buf: np.ndarray, vector: int, length: int, worth: int) -> None:
-    """Turn what a unit vector is worth into what the vector as given is worth."""
+    """Turn the gradient of a unit vector into that of the vector as given."""
     zero = buf.dtype.type(0.0)
     for t in range(TEXELS):
         x = buf[vector * TEXELS + t]

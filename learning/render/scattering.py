@@ -1,6 +1,6 @@
 """The compiled scattering S = U + a g(a U) - a U g(a), and its gradient by hand.
 
-With g's transpose written g', w = what S is worth:
+With g's transpose written g', w = the gradient with respect to S:
 of U: w (1 - a g(a)) + a g'(w a), and of a: w (g(a U) - U g(a)) + U g'(w a) - g'(w a U).
 
 Arrays of a tuple are given names before a parallel loop: numba drops writes through a tuple's
@@ -23,7 +23,7 @@ from learning.render.lanes_math import ANY_ORDER
 
 
 class Fields(NamedTuple):
-    """The three inputs, or what they are worth.
+    """The three inputs, or the gradients with respect to them.
 
     Attributes:
         u: (B, 3, H, W) diffuse light.
@@ -51,7 +51,7 @@ class Spread(NamedTuple):
 
 
 class Worth(NamedTuple):
-    """What S is worth (B, 3, H, W), a texel's area (B, H, W), and g of (w a, w a U) / area."""
+    """Gradient of S (B, 3, H, W), a texel's area (B, H, W), and g of (w a, w a U) / area."""
 
     w: np.ndarray
     mass: np.ndarray
@@ -89,7 +89,7 @@ class FusedScatter(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, worth: Tensor) -> tuple[Tensor | None, ...]:
-        """What the three fields are worth."""
+        """Gradients of the three fields."""
         fields = Fields(*(array_of(x) for x in ctx.saved_tensors))
         diffusion, shares, spread = ctx.kept
         asked = Worth(array_of(worth), diffusion.mass.numpy(), np.empty_like(spread.both))
@@ -153,7 +153,7 @@ def weigh(u: np.ndarray, root: np.ndarray, worth: Worth) -> None:
 
 @numba.njit(parallel=True, cache=True, fastmath=ANY_ORDER, error_model="numpy")
 def worths(fields: Fields, shares: Shares, spread: Spread, worth: Worth, of: Fields) -> None:
-    """Fill what U, irradiance and translucency are worth."""
+    """Fill the gradients of U, irradiance and translucency."""
     u, e, c = fields
     root, both = spread
     w, mass, turned = worth

@@ -24,7 +24,7 @@ def bands(texture: np.ndarray, seen: np.ndarray, small: np.ndarray) -> list[np.n
     Args:
         texture: (rows, columns, 3) linear.
         seen: (rows, columns) bool, what was photographed; detail is 0 elsewhere, and nothing that
-            was not photographed tells on its neighbours.
+            was not photographed affects its neighbours.
         small: (h, w, 3) linear, the same texture as the network saw it.
 
     Returns:

@@ -36,7 +36,7 @@ from processing.dataset import Store
 FINER = 2
 """Faces are lit at so many times the network's resolution, so that edges of shadows are sharp."""
 LARGEST_ROWS = 1536
-"""Rows at most at which the shares of detail are fitted: finer ones are told as one band."""
+"""Rows at most at which the shares of detail are fitted: finer ones count as one band."""
 LEAST_ALBEDO = 1e-3
 """Albedo below which a logarithm says nothing more."""
 SHARPER = 4.0

@@ -1,6 +1,6 @@
 """What a texture does not tell of a skin: from the texels around, and from the face's other side.
 
-A texture over its light tells nothing at the edges of shadows, in the dark and in highlights. Left
+A texture over its light shows nothing at the edges of shadows, in the dark and in highlights. Left
 to the skin that people have in common, these places show as blots. Neighbours continue into them
 without a step, and what is seen on one side of a face is, in part, on the other side too.
 """

@@ -84,7 +84,7 @@ def infer_whole_face(
 
     Returns:
         Maps of the texture's size in the mesh's axes; zero where no surface is. Normals are the
-        mesh's own, and where `mesostructure` told of pores and folds, with these. Confidence
+        mesh's own, and where `mesostructure` found pores and folds, with these. Confidence
         follows from the error that the network expects (a half at an error of `DISAGREEMENT` in
         sRGB); it is 0 where the texture is black.
 
@@ -172,7 +172,7 @@ def in_mesh_axes(light: LightSet, head_from_mesh: np.ndarray) -> LightSet:
     """A light of the head frame for a mesh in its own axes, whose origin may be another."""
     rotation, offset_mm = head_from_mesh[:, :3], head_from_mesh[:, 3]
     place = np.linalg.solve(rotation, (light.position_mm - offset_mm).T).T
-    # Strength is told at the origin, and falls off with the square of the distance from there.
+    # Strength is that at the origin, and falls off with the square of the distance from there.
     nearer = (light.position_mm**2).sum(axis=1) / np.maximum((place**2).sum(axis=1), 1e-9)
     return dataclasses.replace(light, position_mm=place, rgb=light.rgb * nearer[:, None])
 

@@ -43,7 +43,7 @@ ROBUST_ROUNDS = 4
 SHADING = ShadeOptions("ggx")
 """Facets with Fresnel's rise: what mirrors light at grazing angles is no skin."""
 F0 = 0.028
-"""Skin's reflectance at normal incidence, on which Fresnel's rise is told."""
+"""Skin's reflectance at normal incidence, on which Fresnel's rise is based."""
 AMBIENT_SHINE = 1.3
 """What a face mirrors of light from everywhere, over the specular albedo: Fresnel's reflectance at
 n = 1.4 over F0 in the mean over directions up to 60 degrees from the normal."""

@@ -59,7 +59,7 @@ class Refined:
 
     Attributes:
         diffuse_albedo: (rows, columns, 3) linear.
-        known: (rows, columns) bool, where the texture told of it; elsewhere it was continued from
+        known: (rows, columns) bool, where the texture shows it; elsewhere it was continued from
             around and from the face's other side.
         light: lamps and light from everywhere, in the head frame.
         normals: (rows, columns, 3) unit of the diffuse and of the specular light, head frame; None

@@ -1,7 +1,7 @@
 """Skin and light solved together: a texture is explained by a person's tone and its lamps at once.
 
 Solved in turns, skin and light hardly move along the valley in which a darker skin under a brighter
-light looks the same. What tells them apart is small: a highlight has the light's own strength and
+light looks the same. What distinguishes them is small: a highlight has the light's own strength and
 colour, and people's skin differs in few directions. A Gauss-Newton step sees both at once.
 """
 
@@ -68,7 +68,7 @@ class Explained:
         along: (K,) of the skin, in standard deviations of people.
         rgb: (L, 3) of the lamps.
         gloss: factor on the specular albedo.
-        covariance: (K, K) of `along`, as far as the texture tells.
+        covariance: (K, K) of `along`, as far as the texture determines it.
         cost: what the squared errors and the distance from what was known before add up to.
     """
 

@@ -14,7 +14,7 @@ from learning.networks.whole_face import DARKEST
 DARK_LIGHT = 0.02
 """Irradiance below which nothing is divided by it."""
 LEAST_LIGHT = 0.15
-"""Share of the median irradiance below which a texel's own albedo is not told by the texture."""
+"""Share of the median irradiance below which the texture does not show a texel's own albedo."""
 MOST_SHINE = 0.35
 """Share of a texture's value, in any channel, above which a highlight hides the skin."""
 EDGE_SHARE = 1 / 384
