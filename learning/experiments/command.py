@@ -33,6 +33,7 @@ from lightstage.errors import ConfigError, LightstageError, one_error
 from lightstage.formats.config import as_dict, make_config, read_toml
 from lightstage.formats.consents import require_consents
 from lightstage.formats.files import others_in, read_json, write_json
+from lightstage.formats.values import parse_json
 from processing.dataset import Store, open_store
 
 ABOUT, SCHEMA = "experiment.json", "lightstage.experiment/1"
@@ -267,7 +268,7 @@ def _begin(
     about = {
         "schema": SCHEMA,
         "name": request.name,
-        "config": json.loads(json.dumps(as_dict(config))),
+        "config": parse_json(json.dumps(as_dict(config)), "configuration"),
         "data_fingerprint": store.fingerprint,
         "trained_on": list(halves.trained),
         "held_out": list(halves.held_out),

@@ -185,7 +185,7 @@ def test_what_has_not_moved_keeps_its_closest_point(seed, step_mm):
         assert longer.max() < 2 * GateConfig().unmoved_mm + 1e-3
         assert np.array_equal(first.follows, second.follows)
     assert anew.kept == 0
-    assert anew.asked == skips.asked == 3 * len(place)
+    assert anew.queried == skips.queried == 3 * len(place)
     assert (skips.kept == 2 * len(place)) == (step_mm < 0.1)
 
 

@@ -172,7 +172,7 @@ def test_check_says_what_the_files_that_a_session_has_do_not_prove(session, lack
     assert len(printed) == len(notes)
     for line, part in zip(printed, notes, strict=True):
         assert line.startswith(f"note: {part}")
-        assert line.endswith((" told.", " noticed."))
+        assert line.endswith((" known.", " noticed."))
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,7 @@ def happened(tmp_path):
 
 def test_it_tells_everything_that_a_camera_can_be_asked(camera):
     summary = camera(firmware="2.10", owner="A", place="N 48", card_bytes=10**9).summary()
-    assert summary.untold() == []
+    assert summary.not_readable() == []
     assert (summary.firmware, summary.owner, summary.place) == ("2.10", "A", "N 48")
     assert summary.card_free_bytes == 10**9
 
