@@ -24,7 +24,8 @@ from benchmarks.networks_lights import GROUPS
 from benchmarks.networks_people import KINDS, Who, chosen
 from benchmarks.networks_scores import db, specular_share
 from benchmarks.record import record
-from learning.evaluation.people import by_tone, interval, spread
+from learning.bootstrap import interval
+from learning.evaluation.people import by_tone, spread
 from processing.colour import srgb_from_linear
 from processing.tones import tone_of
 

@@ -67,6 +67,11 @@ def devices_here() -> dict[str, str]:
     return found
 
 
+def device_name(device: torch.device) -> str:
+    """A device by its maker's name, where it has one."""
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else str(device)
+
+
 def device_of(network: torch.nn.Module) -> torch.device:
     """Where a network's weights are."""
     return next(network.parameters()).device

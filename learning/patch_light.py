@@ -23,7 +23,7 @@ from learning.render.environments import (
     random_lights,
     stack,
 )
-from learning.render.occlusion import DOME_MM, PositionGrid, bake_grid, openness
+from learning.render.occlusion import DOME_MM, PositionGrid, bake_grid, openness, sharpened
 from learning.render.shading import Mode
 from learning.render.uv import spread_outside
 
@@ -90,7 +90,7 @@ class ScanLight:
         if self.visibility is None:
             return torch.ones(1, len(self.groups[group].sets_mm[index]), size, size)
         values = sampled(self.visibility[group][index].float(), box, size)
-        return ((values - 0.5) * sharpness + 0.5).clamp(0, 1)
+        return sharpened(values, sharpness)
 
     def openness(self, box: Box, size: int) -> Tensor:
         """(1, 1, size, size) ambient occlusion of a part of the texture; 1 where not baked."""

@@ -10,13 +10,14 @@ from typing import Any
 import cv2
 import numpy as np
 
+from learning.bootstrap import Interval, interval
 from learning.errors import MapsError
 from learning.evaluation.measures import (
     albedo_measures,
     normal_measures,
     specular_measures,
 )
-from learning.evaluation.people import Interval, by_tone, interval, spread
+from learning.evaluation.people import by_tone, spread
 from learning.evaluation.portrait import portrait
 from learning.evaluation.recogniser import Recogniser, RecogniserRequest
 from learning.export.source import maps_folder
@@ -28,7 +29,7 @@ from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.formats.environment import LightSet
-from lightstage.formats.files import write_json, write_text
+from lightstage.formats.files import without_nan, write_json, write_text
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder, read_map
 from processing.colour import srgb_from_linear
@@ -130,7 +131,7 @@ def evaluate_command(
         "seconds": time.monotonic() - began,
     }
     if out is not None:
-        write_json(out, {"schema": SCHEMA, **_without_nan(facts)})
+        write_json(out, {"schema": SCHEMA, **without_nan(facts)})
         write_text(out.with_suffix(".md"), table(facts, means))
     return facts
 
@@ -343,12 +344,3 @@ def _resized(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         return image.astype(np.float32)
     way = cv2.INTER_AREA if image.shape[0] > size[0] else cv2.INTER_LINEAR
     return cv2.resize(image.astype(np.float32), size[::-1], interpolation=way)
-
-
-def _without_nan(value: Any) -> Any:
-    """JSON has no NaN: null stands for it."""
-    if isinstance(value, dict):
-        return {key: _without_nan(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(inner) for inner in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,39 +1,10 @@
-"""Figures over people: means with intervals by bootstrap, and skin colour by tone."""
+"""Skin colour by tone over people."""
 
 from __future__ import annotations
-
-import dataclasses
 
 import numpy as np
 
 from processing.tones import ITA_NAMES, tone_of
-
-DRAWS = 2000
-INTERVAL = (2.5, 97.5)
-"""Percent: 95 % of the draws lie within."""
-SEED = 20221
-
-
-@dataclasses.dataclass(frozen=True)
-class Interval:
-    """A mean over people and where 95 % of bootstrap's means lie; NaN of one person."""
-
-    mean: float
-    low: float
-    high: float
-
-
-def interval(values: list[float]) -> Interval:
-    """Mean over people, and its interval: people are drawn with replacement [Efron1979]."""
-    known = np.array([v for v in values if np.isfinite(v)])
-    if not known.size:
-        return Interval(float("nan"), float("nan"), float("nan"))
-    if known.size == 1:
-        return Interval(float(known[0]), float("nan"), float("nan"))
-    rng = np.random.default_rng(SEED)
-    means = known[rng.integers(0, known.size, (DRAWS, known.size))].mean(axis=1)
-    low, high = np.percentile(means, INTERVAL)
-    return Interval(float(known.mean()), float(low), float(high))
 
 
 def by_tone(true_deg: list[float], found_deg: list[float]) -> dict[str, tuple[int, float]]:

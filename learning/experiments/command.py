@@ -12,7 +12,7 @@ from typing import Any
 
 from learning.checkpoint import code_version
 from learning.devices import choose_device
-from learning.experiments.config import ExperimentConfig, sized
+from learning.experiments.config import BOUNDS, ExperimentConfig, sized
 from learning.experiments.cost import full_size_line, measure_full_size
 from learning.experiments.drive import run_all, stop_file
 from learning.experiments.people import Halves, halves_of
@@ -112,7 +112,7 @@ def experiment_command(
     halves = halves_of(store, config)
     experiment, notes = _possible(experiment, halves)
     require_consents(request.consents, "training", store.consents)
-    choose_device(request.device)
+    device = choose_device(request.device)
     for variant in experiment.variants:
         training_of(variant, config, budgets(config, experiment)[0], 0, len(halves.held_out))
     _begin(request, config, store, halves)
@@ -141,7 +141,6 @@ def experiment_command(
             tell(left_line(orders, [o for o in orders if not o.finished], request.jobs, config))
             reported = time.monotonic()
 
-    device = choose_device(request.device)
     if device.type == "cuda" and request.name == "ladder":
         tell(measure_full_size(request.out, device, store))
     failed = run_all(left, request.jobs, request.scheduler, one_ended, one_run)
@@ -206,8 +205,9 @@ def _require_request(request: ExperimentRequest) -> None:
         )
     if not 1 <= request.jobs <= MOST_JOBS:
         raise ConfigError("--jobs", found=str(request.jobs), expected=f"1 to {MOST_JOBS}")
-    if request.seeds is not None and not 1 <= request.seeds <= 1000:
-        raise ConfigError("--seeds", found=str(request.seeds), expected="1 to 1000")
+    least, most = BOUNDS["seeds"]
+    if request.seeds is not None and not least <= request.seeds <= most:
+        raise ConfigError("--seeds", found=str(request.seeds), expected=f"{least} to {most}")
     stop = request.stop_after
     if stop is not None and not (math.isfinite(stop) and stop > 0):
         raise ConfigError("--stop-after", found=str(stop), expected="seconds above 0")

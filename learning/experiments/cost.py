@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from learning.data import Batch
-from learning.devices import moved
+from learning.devices import device_name, moved
 from learning.encoding import absolute_reference, covered_channels, encode_maps, network_input
 from learning.patch_config import PatchConfig
 from learning.patch_light import Scene, target_environment
@@ -47,7 +47,7 @@ def measure_full_size(out: Path, device: torch.device, store: Store) -> str:
             return f"the published size was not measured: {' '.join(str(error).split())[:200]}"
         found: dict[str, Any] = {
             "schema": SCHEMA,
-            "device": torch.cuda.get_device_name(device) if device.type == "cuda" else str(device),
+            "device": device_name(device),
             "patches_a_scan": patches_a_scan(store),
             "seconds_a_step": seconds,
         }

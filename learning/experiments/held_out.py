@@ -22,7 +22,7 @@ from learning.experiments.people import subject_of
 from learning.infer import Inferred
 from learning.maps import SHININESS, TRANSLUCENCY, from_batch, skin_maps_from, to_batch
 from learning.render.environments import Environment
-from learning.render.occlusion import DOME_MM, PositionGrid, bake_grid, openness
+from learning.render.occlusion import DOME_MM, PositionGrid, bake_grid, openness, sharpened
 from learning.render.shading import ShadeOptions, SkinMaps, shade, unit
 from learning.render.uv import texel_surface
 from learning.whole.faces import read_small
@@ -32,8 +32,6 @@ from processing.colour import srgb_from_linear
 from processing.dataset import Store
 
 OPTIONS = ShadeOptions("dielectric")
-SHARPER = 4.0
-"""How much sharper the edges of shadows are than the grid that they were baked on."""
 MAPS = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")
 SOURCE, IN_TARGET = "source", "target"
 REFLECTANCE = "reflectance"
@@ -225,7 +223,7 @@ def _visibility(subject: Subject, lights: dict[str, Environment]) -> dict[str, T
     parts = np.split(baked, np.cumsum([len(at) for at in places])[:-1])
     size = subject.measured.shape
     return {
-        name: torch.from_numpy(np.stack([_sharp(_enlarged(one, size)) for one in part]))[None]
+        name: sharpened(torch.from_numpy(np.stack([_enlarged(one, size) for one in part])))[None]
         for name, part in zip(lights, parts, strict=True)
     }
 
@@ -235,11 +233,6 @@ def _enlarged(image: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
         to_batch(image), (size[0], size[1]), mode="bilinear", align_corners=False
     )
     return from_batch(large)
-
-
-def _sharp(seen: np.ndarray) -> np.ndarray:
-    found: np.ndarray = np.clip((seen - 0.5) * SHARPER + 0.5, 0, 1).astype(np.float32)
-    return found
 
 
 def _lit(skin: SkinMaps, light: Environment, visibility: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from learning.experiments.statistics import Spread
+from learning.bootstrap import Interval
 from lightstage.formats.files import write_text
 
 WIDTH, HEIGHT = 760, 360
@@ -26,7 +26,7 @@ class Column:
 
     name: str
     seeds: Sequence[float]
-    whole: Spread
+    whole: Interval
 
 
 def draw(title: str, across: str, up: str, columns: Sequence[Column], path: Path) -> Path:

@@ -15,10 +15,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from learning.bootstrap import Interval, interval
 from learning.experiments.config import ExperimentConfig
 from learning.experiments.held_out import FIGURES, IN_TARGET, REFLECTANCE, SOURCE
 from learning.experiments.plot import Column, draw
-from learning.experiments.statistics import Spread, over_seeds, paired, spread_of, table
+from learning.experiments.statistics import over_seeds, paired, table
 from learning.experiments.variants import (
     LAST_PUBLISHED,
     MODERN,
@@ -31,7 +32,7 @@ from learning.experiments.variants import (
 from learning.experiments.work import DIVERGED, FIGURES_FILE, FIGURES_SCHEMA, SHOWN, run_name
 from lightstage.counting import counted
 from lightstage.errors import LightstageError
-from lightstage.formats.files import read_json, write_json, write_text
+from lightstage.formats.files import read_json, without_nan, write_json, write_text
 from lightstage.formats.png import write_png
 
 SCHEMA = "lightstage.experiment.report/1"
@@ -86,9 +87,9 @@ class Setting:
             for person in run["people"]
         }
 
-    def spread(self, name: str) -> Spread:
+    def spread(self, name: str) -> Interval:
         """A figure over seeds and people."""
-        return spread_of(table(self.figures(name))[0])
+        return interval(table(self.figures(name))[0])
 
     def median(self, name: str) -> float:
         """A run's own number, such as its seconds."""
@@ -149,7 +150,7 @@ def write_report(
     if sheet:
         lines += ["## Albedos found", "", sheet, ""]
     write_text(out / REPORT, "\n".join(lines))
-    write_json(out / FACTS, _without_nan(facts))
+    write_json(out / FACTS, without_nan(facts))
     return facts
 
 
@@ -309,7 +310,7 @@ def _column(setting: Setting) -> Column:
     values, _, _ = table(setting.figures(REFLECTANCE))
     seeds = [SCALE * float(np.nanmean(row)) for row in values]
     whole = setting.spread(REFLECTANCE)
-    scaled = Spread(SCALE * whole.mean, SCALE * whole.low, SCALE * whole.high)
+    scaled = Interval(SCALE * whole.mean, SCALE * whole.low, SCALE * whole.high)
     return Column(setting.variant.title, seeds, scaled)
 
 
@@ -317,7 +318,7 @@ def _device(setting: Setting) -> str:
     return ", ".join(sorted({str(run["device"]) for run in setting.runs}))
 
 
-def _shown(found: Spread) -> str:
+def _shown(found: Interval) -> str:
     if math.isnan(found.mean):
         return ""
     if math.isnan(found.low):
@@ -325,7 +326,7 @@ def _shown(found: Spread) -> str:
     return f"{SCALE * found.mean:.1f} ({SCALE * found.low:.1f} to {SCALE * found.high:.1f})"
 
 
-def _difference(found: Spread) -> str:
+def _difference(found: Interval) -> str:
     if math.isnan(found.low):
         return _shown(found)
     return _shown(found) + ("" if found.distinguished else f", {NOT_DISTINGUISHED}")
@@ -389,11 +390,3 @@ def _titles(names: list[str], width: int) -> np.ndarray:
         place = (index * width + 4, 15)
         cv2.putText(image, name, place, cv2.FONT_HERSHEY_SIMPLEX, scale, (0, 0, 0), 1, cv2.LINE_AA)
     return image
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

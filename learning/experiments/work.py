@@ -29,7 +29,7 @@ from learning.checkpoint import (
     read_checkpoint,
 )
 from learning.config import TrainingConfig
-from learning.devices import choose_device, memory_of
+from learning.devices import choose_device, device_name, memory_of
 from learning.errors import TrainingError
 from learning.experiments.config import ExperimentConfig
 from learning.experiments.held_out import (
@@ -346,8 +346,3 @@ def _tidy(order: Order) -> None:
             path.unlink()
         return
     shutil.rmtree(training, ignore_errors=True)
-
-
-def device_name(device: torch.device) -> str:
-    """A device with what its maker calls it."""
-    return torch.cuda.get_device_name(device) if device.type == "cuda" else str(device)

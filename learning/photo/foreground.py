@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from learning.photo.unwrap import smaller
-from learning.render.view import scene_of
+from learning.render.view import cast_from, scene_of
 from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera
 from processing.colour import srgb_from_linear
@@ -37,19 +37,13 @@ def foreground(rgb_linear: np.ndarray, mesh: Mesh, face: np.ndarray, camera: Cam
     Returns:
         (h, w) bool; all of it where nothing is surely behind the head.
     """
-    import open3d
-
     small = smaller(camera, LARGEST_PX)
     size = (small.width_px, small.height_px)
     picture = cv2.resize(rgb_linear.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     codes = np.round(255 * np.clip(srgb_from_linear(np.clip(picture, 0, 1)), 0, 1))
-    origin, directions = small.pixel_rays()
-    rays = np.empty((small.height_px * small.width_px, 6), np.float32)
-    rays[:, :3] = origin
-    rays[:, 3:] = directions.reshape(-1, 3)
-    hit = scene_of(mesh).cast_rays(open3d.core.Tensor(rays))
-    triangle = hit["primitive_ids"].numpy().astype(np.int64).reshape(size[::-1])
-    head = np.isfinite(hit["t_hit"].numpy().reshape(size[::-1]))
+    hit = cast_from(scene_of(mesh), *small.pixel_rays())
+    triangle = hit["primitive_ids"].astype(np.int64).reshape(size[::-1])
+    head = np.isfinite(hit["t_hit"].reshape(size[::-1]))
     sure = head.copy()
     sure[head] = face[mesh.triangles()].all(axis=1)[triangle[head]]
     behind = ~_grown(head, _reach(head))

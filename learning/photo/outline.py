@@ -6,10 +6,9 @@ import dataclasses
 
 import cv2
 import numpy as np
-import open3d
 
 from learning.photo.model import ShapeModel
-from learning.render.view import scene_of
+from learning.render.view import cast_from, scene_of
 from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.rig import Camera
 
@@ -117,11 +116,8 @@ def outline(mesh: Mesh, camera: Camera) -> np.ndarray:
 
     def met(beside_mm: float) -> np.ndarray:
         ray = middle + beside_mm * normals - camera.centre_mm
-        rays = np.empty((len(middle), 6), np.float32)
-        rays[:, :3] = camera.centre_mm
-        rays[:, 3:] = ray / np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), TINY)
-        found: np.ndarray = scene.cast_rays(open3d.core.Tensor(rays))["t_hit"].numpy()
-        return found
+        ray /= np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), TINY)
+        return cast_from(scene, camera.centre_mm, ray)["t_hit"]
 
     outer, inner = met(BESIDE_MM), met(-BESIDE_MM)
     clear = outer > distance[:, 0] + BEHIND_MM

@@ -15,7 +15,6 @@ import time
 
 import cv2
 import numpy as np
-import open3d
 
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
@@ -33,7 +32,7 @@ from learning.photo.outline import Rims, find_rims, sampled
 from learning.photo.unwrap import unwrap
 from learning.render.occlusion import ShadowCaster
 from learning.render.uv import rasterise, spread_outside
-from learning.render.view import sample_bilinear, scene_of
+from learning.render.view import cast_from, sample_bilinear, scene_of
 from learning.whole.light import Light, LightFit, LitSurface
 from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.formats.template import Template
@@ -309,10 +308,7 @@ def visible(mesh: Mesh, camera: Camera, position: np.ndarray, normals: np.ndarra
     toward = camera.centre_mm - position
     distance = np.linalg.norm(toward, axis=1)
     cosine = (normals * toward).sum(axis=1) / distance
-    rays = np.empty((len(position), 6), np.float32)
-    rays[:, :3] = camera.centre_mm
-    rays[:, 3:] = -toward / distance[:, None]
-    met = scene_of(mesh).cast_rays(open3d.core.Tensor(rays))["t_hit"].numpy()
+    met = cast_from(scene_of(mesh), camera.centre_mm, -toward / distance[:, None])["t_hit"]
     place, depth = camera.project(position)
     free = (met > distance - SAME_MM) & (depth > 0) & (place > 1).all(axis=1)
     free &= (place < [camera.width_px - 1, camera.height_px - 1]).all(axis=1)

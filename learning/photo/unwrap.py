@@ -9,7 +9,7 @@ import numpy as np
 import open3d
 
 from learning.render.uv import UvRaster
-from learning.render.view import scene_of
+from learning.render.view import cast_from, scene_of
 from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera
 
@@ -67,10 +67,7 @@ def unwrap(
     inside &= (place < [camera.width_px - 0.5, camera.height_px - 0.5]).all(axis=1)
     seen = inside & (cosine > GRAZING)
     scene = scene_of(mesh)
-    rays = np.empty((int(seen.sum()), 6), np.float32)
-    rays[:, :3] = camera.centre_mm
-    rays[:, 3:] = -toward[seen] / distance[seen, None]
-    met = scene.cast_rays(open3d.core.Tensor(rays))["t_hit"].numpy()
+    met = cast_from(scene, camera.centre_mm, -toward[seen] / distance[seen, None])["t_hit"]
     seen[seen] = met > distance[seen] - SAME_MM / np.maximum(cosine[seen], GRAZING)
     seen[seen] = ~_edges(scene, camera, place[seen])
     if person is not None:
@@ -92,11 +89,7 @@ def _edges(
 ) -> np.ndarray:
     """(n,) bool, whether (n, 2) places lie beside a step of depth."""
     small = smaller(camera, LARGEST_DEPTH_PX)
-    origin, directions = small.pixel_rays()
-    rays = np.empty((small.height_px * small.width_px, 6), np.float32)
-    rays[:, :3] = origin
-    rays[:, 3:] = directions.reshape(-1, 3)
-    met = scene.cast_rays(open3d.core.Tensor(rays))["t_hit"].numpy()
+    met = cast_from(scene, *small.pixel_rays())["t_hit"]
     depth = np.where(np.isfinite(met), met, 1e6).reshape(small.height_px, small.width_px)
     kernel = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), np.uint8)
     step = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel) > STEP_MM

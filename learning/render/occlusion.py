@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from torch import Tensor
 
 from learning.render.environments import Environment
 from learning.render.kept_shadows import kept_or_baked
@@ -18,6 +19,10 @@ DOME_MM = 100_000.0 * even_directions(64)
 RAYS_AT_ONCE = 2_000_000
 OFFSET_MM = 0.3
 """Rays start so far off the surface, along its normal, to pass over the facet they start on."""
+
+
+SHARPER = 4.0
+"""How much sharper the edges of shadows are than the grid that they were baked on."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,6 +126,11 @@ def _grid_triangles(surface: PositionGrid) -> np.ndarray:
     # Across a seam of the texture neighbours lie far apart on the face.
     corners = corners[span < 10 * np.median(span)]
     return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+
+
+def sharpened(seen: Tensor, sharpness: float = SHARPER) -> Tensor:
+    """Shares of light, 0..1, of an enlarged grid, with edges as hard as small lamps make them."""
+    return ((seen - 0.5) * sharpness + 0.5).clamp(0, 1)
 
 
 class ShadowCaster:

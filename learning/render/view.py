@@ -62,6 +62,26 @@ def scene_of(mesh: Mesh) -> open3d.t.geometry.RaycastingScene:
     return scene
 
 
+def cast_from(
+    scene: open3d.t.geometry.RaycastingScene, origin_mm: np.ndarray, directions: np.ndarray
+) -> dict[str, np.ndarray]:
+    """What rays from one place meet first: t_hit (infinite where nothing), primitive_ids and _uvs.
+
+    Args:
+        scene: of `scene_of`.
+        origin_mm: (3,).
+        directions: (..., 3), each of a length that t_hit counts in.
+
+    Returns:
+        Open3D's arrays by name, one entry a ray, in order.
+    """
+    flat = directions.reshape(-1, 3)
+    rays = np.empty((len(flat), 6), np.float32)
+    rays[:, :3], rays[:, 3:] = origin_mm, flat
+    found = scene.cast_rays(open3d.core.Tensor(rays))
+    return {name: found[name].numpy() for name in ("t_hit", "primitive_ids", "primitive_uvs")}
+
+
 def _band(
     scene: open3d.t.geometry.RaycastingScene,
     corner_uvs: np.ndarray,
@@ -78,16 +98,12 @@ def _band(
         cx_px=camera.cx_px * SUPERSAMPLE,
         cy_px=camera.cy_px * SUPERSAMPLE,
     )
-    origin, directions = fine.pixel_rays()
-    rays = np.empty((fine.height_px * fine.width_px, 6), np.float32)
-    rays[:, :3] = origin
-    rays[:, 3:] = directions.reshape(-1, 3)
-    found = scene.cast_rays(open3d.core.Tensor(rays))
-    hit = np.isfinite(found["t_hit"].numpy())
-    weights = found["primitive_uvs"].numpy()[hit]
+    found = cast_from(scene, *fine.pixel_rays())
+    hit = np.isfinite(found["t_hit"])
+    weights = found["primitive_uvs"][hit]
     barycentric = np.concatenate([1 - weights.sum(axis=1, keepdims=True), weights], axis=1)
-    corners = corner_uvs[found["primitive_ids"].numpy()[hit]]
-    samples = np.zeros((len(rays), 4), np.float32)
+    corners = corner_uvs[found["primitive_ids"][hit]]
+    samples = np.zeros((len(hit), 4), np.float32)
     samples[hit] = sample_bilinear(rgba, np.einsum("nck,nc->nk", corners, barycentric))
     samples[:, :3] *= samples[:, 3:]
     shape = (camera.height_px, SUPERSAMPLE, camera.width_px, SUPERSAMPLE, 4)

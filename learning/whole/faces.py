@@ -27,7 +27,7 @@ from learning.render.environments import (
     random_lights,
     stack,
 )
-from learning.render.occlusion import DOME_MM, PositionGrid, bake_grid, openness
+from learning.render.occlusion import DOME_MM, PositionGrid, bake_grid, openness, sharpened
 from learning.render.shading import Mode, ShadeOptions, SkinMaps, shade, unit
 from learning.render.uv import TexelSurface, texel_surface
 from lightstage.commands import ProgressCallback, quiet
@@ -39,8 +39,6 @@ LARGEST_ROWS = 1536
 """Rows at most at which the shares of detail are fitted: finer ones count as one band."""
 LEAST_ALBEDO = 1e-3
 """Albedo below which a logarithm says nothing more."""
-SHARPER = 4.0
-"""How much sharper the edges of shadows are than the grid that they were baked on."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -406,7 +404,7 @@ def _tensors(maps: dict[str, np.ndarray]) -> tuple[dict[str, Tensor], float, Tex
 def _enlarged_shadows(visibility: Tensor, size: tuple[int, int]) -> Tensor:
     """(n, h, w) uint8 of a coarser grid at another size, with edges as sharp as small lamps'."""
     seen = functional.interpolate(visibility[None].float() / 255, size, mode="bilinear")[0]
-    return (255 * ((seen - 0.5) * SHARPER + 0.5).clamp(0, 1)).to(torch.uint8)
+    return (255 * sharpened(seen)).to(torch.uint8)
 
 
 def _face(maps: dict[str, np.ndarray], skin: np.ndarray, sets: list[np.ndarray], name: str) -> Face:

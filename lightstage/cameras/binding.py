@@ -148,7 +148,7 @@ def _attempts(cameras: Sequence[CameraDevice]) -> dict[str, Summary | Lightstage
         return {}
     with ThreadPoolExecutor(len(cameras)) as pool:
         results = pool.map(attempt, cameras)
-        return {camera.id: summaries for camera, summaries in zip(cameras, results, strict=True)}
+        return {camera.id: summary for camera, summary in zip(cameras, results, strict=True)}
 
 
 def _parted(

@@ -295,10 +295,8 @@ class Photographer:
         findings = self.look_again(pattern, camera.id, path)
         # A camera that dies now is noticed at its next trigger; this photograph is safe.
         with contextlib.suppress(DeviceError):
-            summaries = self._summaries[camera.id]
-            findings += _late(
-                pattern, map(_mendable, drift(summaries, camera.summary(), camera.id))
-            )
+            summary = self._summaries[camera.id]
+            findings += _late(pattern, map(_mendable, drift(summary, camera.summary(), camera.id)))
         for finding in findings:
             self._writer.finding(finding)
         return findings

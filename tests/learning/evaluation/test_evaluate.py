@@ -13,12 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from learning.bootstrap import interval
 from learning.evaluation.measures import (
     albedo_measures,
     normal_measures,
     ssim,
 )
-from learning.evaluation.people import by_tone, interval, spread
+from learning.evaluation.people import by_tone, spread
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import write_json
 from lightstage.formats.mesh import read_obj, write_obj

@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from learning.bootstrap import Interval, interval
 from learning.data import PatchData
 from learning.encoding import OWN_CHANNELS, OWN_INPUTS
 from learning.experiments.config import sized
@@ -22,7 +23,7 @@ from learning.experiments.cost import full_size_line, measure_full_size, step_se
 from learning.experiments.held_out import FIGURES, measure, read_subjects, texel_mesh
 from learning.experiments.lights import NAMES, aside, lights_around
 from learning.experiments.plot import Column, draw
-from learning.experiments.statistics import Spread, over_seeds, paired, spread_of, table
+from learning.experiments.statistics import over_seeds, paired, table
 from learning.losses import rendering_loss
 from learning.patch_config import TrainConfig
 from learning.patch_light import target_environment
@@ -128,7 +129,7 @@ def test_only_seeds_and_people_of_both_settings_are_compared() -> None:
 
 def test_intervals_agree_with_a_plain_bootstrap() -> None:
     values = np.random.default_rng(5).normal(1.0, 0.3, (4, 6))
-    found = spread_of(values)
+    found = interval(values)
     rng, means = np.random.default_rng(1), []
     for _ in range(4000):
         rows, columns = rng.integers(0, 4, 4), rng.integers(0, 6, 6)
@@ -147,7 +148,7 @@ def test_intervals_agree_with_a_plain_bootstrap() -> None:
     )
 )
 def test_an_interval_holds_its_mean_or_nothing_is_known(values: np.ndarray) -> None:
-    found = spread_of(values)
+    found = interval(values)
     known = values[np.isfinite(values)]
     assert np.isnan(found.mean) == (known.size == 0)
     if not np.isnan(found.low):
@@ -166,8 +167,8 @@ def test_the_spread_over_seeds_is_a_percentage_of_the_mean() -> None:
 def test_a_plot_is_whole_where_figures_are_missing(tmp_path: Path) -> None:
     nan = float("nan")
     columns = [
-        Column("one & <two>", [1.0, nan], Spread(1.0, 0.5, 1.5)),
-        Column("nothing", [], Spread(nan, nan, nan)),
+        Column("one & <two>", [1.0, nan], Interval(1.0, 0.5, 1.5)),
+        Column("nothing", [], Interval(nan, nan, nan)),
     ]
     root = ElementTree.parse(draw("title", "across", "up", columns, tmp_path / "p.svg")).getroot()
     said = [element.text for element in root.iter() if element.text and element.text.strip()]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from lightstage.formats.processed import ProcessedFolder
+from tests.browser import Browser
 from tests.learning.export.called import copied, run
-from tests.lightstage.console.browser import Browser
 
 SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 """WebGL by the processor: there is no graphics card where tests run."""

@@ -15,7 +15,7 @@ from lightstage.checks import check_session
 from lightstage.console.runner import Runner
 from sim.devices.faults import Fault
 from sim.devices.processes import descendants
-from tests.lightstage.console.browser import Browser
+from tests.browser import Browser
 from tests.lightstage.console.conftest import (
     Visitor,
     events_of,
