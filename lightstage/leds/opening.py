@@ -83,17 +83,28 @@ def open_wired_leds(leds: str, rig: Rig, channels: int = 0) -> WiredLeds:
             for name, address in addresses.items()
         }
         wired = WiredLeds(devices, rig.addresses)
-        for name, count in wired.counts.items() if len(devices) > 1 else ():
-            if count < needed[name]:
-                raise DeviceError(
-                    f"LED device {name} at {addresses[name]}",
-                    field="light count",
-                    found=str(count),
-                    expected=f"at least {needed[name]} (addresses in rig.json)",
-                    hint="Is this the rig file of this stage, and each controller at its own URL?",
-                )
+        # Of one device the preflight reports it, beside all else that is wrong.
+        if len(devices) > 1:
+            require_channels(wired, rig, leds)
         opened.pop_all()
     return wired
+
+
+def require_channels(wired: WiredLeds, rig: Rig, leds: str) -> None:
+    """DeviceError where a device, opened at `leds`, has fewer channels than the rig needs."""
+    addresses, needed = _addresses(leds, rig), channels_needed(rig)
+    for name, count in wired.counts.items():
+        if count < needed[name]:
+            several = len(wired.counts) > 1
+            named = f" {name}" if several else ""
+            raise DeviceError(
+                f"LED device{named} at {addresses[name]}",
+                field="light count",
+                found=str(count),
+                expected=f"at least {needed[name]} (addresses in rig.json)",
+                hint="Is this the rig file of this stage"
+                + (", and each controller at its own URL?" if several else "?"),
+            )
 
 
 def channels_needed(rig: Rig) -> dict[str, int]:

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lightstage.errors import DeviceError, LightstageError
+from lightstage.errors import LightstageError
 from lightstage.interrupts import raise_once
 from lightstage.leds.controller import LightLostError
-from lightstage.leds.opening import channels_needed, open_wired_leds
+from lightstage.leds.opening import open_wired_leds, require_channels
 from lightstage.rig import Rig
 from lightstage.safety import SafeLights, SafetyConfig
 from lightstage.wiring.walk import HELP, Walk
@@ -48,15 +48,7 @@ def identify(
     raise_once()
     with open_wired_leds(leds, rig, channels or 0) as wired:
         walk = Walk(rig, wired.counts)
-        for name, needed in channels_needed(rig).items():
-            if walk.counts[name] < needed:
-                raise DeviceError(
-                    "LED device",
-                    field="light count",
-                    found=str(walk.counts[name]),
-                    expected=f"at least {needed}, as the rig's addresses go",
-                    hint="Is this the rig file of this stage?",
-                )
+        require_channels(wired, rig, leds)
         if not wired.acknowledged:
             show("This LED device does not answer: what it lights is what was sent.")
         with SafeLights(wired, safety, rig) as lights:
