@@ -53,15 +53,15 @@ def foreground(rgb_linear: np.ndarray, mesh: Mesh, face: np.ndarray, camera: Cam
     marks = np.where(head, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     marks[behind] = cv2.GC_BGD
     marks[sure] = cv2.GC_FGD
-    background, foreground = np.zeros((1, 65)), np.zeros((1, 65))
+    colours_behind, colours_of_person = np.zeros((1, 65)), np.zeros((1, 65))
     anywhere = (0, 0, 0, 0)
     cv2.setRNGSeed(0)
     cv2.grabCut(
         np.ascontiguousarray(codes[..., ::-1].astype(np.uint8)),
         marks,
         anywhere,
-        background,
-        foreground,
+        colours_behind,
+        colours_of_person,
         ROUNDS,
         cv2.GC_INIT_WITH_MASK,
     )
