@@ -88,6 +88,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "faces.ggx_share": (0, 1),
     "faces.partial_share": (0, 1),
     "faces.beside_skin": (0, 1),
+    "faces.displaced_mm": (0, 50),
     "occlusion.rows": (ROWS_MULTIPLE, 10 * ROWS_MULTIPLE),
     "occlusion.lights": (1, 64),
     "occlusion.order": (1, 20),

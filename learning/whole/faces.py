@@ -37,6 +37,8 @@ FINER = 2
 """Faces are lit at so many times the network's resolution, so that edges of shadows are sharp."""
 LARGEST_ROWS = 1536
 """Rows at most at which the shares of detail are fitted: finer ones count as one band."""
+SMALLEST_AREA = 0.1
+"""Area, over that of a typical texel, below which a texel is displaced as one of this area."""
 LEAST_ALBEDO = 1e-3
 """Albedo below which a logarithm says nothing more."""
 
@@ -54,6 +56,8 @@ class FacesConfig:
             `learning.render.shading`) instead of as the training is configured.
         partial_share: part of the pairs of which only the side toward some camera is shown.
         beside_skin: weight of eyes, hair and what was not captured, where skin has 1.
+        displaced_mm: standard deviation of how far a texel shows another place of the face than
+            its own, as in the texture of a photograph whose fitted shape is not the person's.
     """
 
     held_out_subjects: int = 1
@@ -63,6 +67,7 @@ class FacesConfig:
     ggx_share: float = 0.0
     partial_share: float = 0.3
     beside_skin: float = 0.1
+    displaced_mm: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -329,15 +334,23 @@ class Faces:
         """At the network's size, with the flaws of photographs and the shape's own normals."""
         config, size = self._config, self._size
         normal = unit(shrink(normal, size))
+        covered = (skin.area > 0).to(texture)
+        surface = (shrink(covered, size) > 0.5).to(texture)
+        if config.displaced_mm > 0:
+            texel_mm = skin.texel_mm * skin.area.clamp_min(SMALLEST_AREA).sqrt()
+            shifts = [displacement(rng, config.displaced_mm) for rng in rngs]
+            moved_there = displaced(torch.cat([texture, covered], 1), torch.cat(shifts), texel_mm)
+            texture, photographed = moved_there[:, :3], shrink(moved_there[:, 3:], size) > 0.5
+        else:
+            photographed = surface > 0
         small = shrink(texture, size)
-        surface = (shrink((skin.area > 0).to(texture), size) > 0.5).to(texture)
         flaws, shown = [], []
         for own, rng in zip(normal.split(1), rngs, strict=True):
             balance = np.exp(rng.normal(0, config.white_balance, (3, 1, 1)))
             flaws.append(balance * np.exp(rng.normal(0, config.noise, tuple(small.shape[1:]))))
             shown.append(self._shown(own, rng))
         small = small * torch.from_numpy(np.stack(flaws).astype(np.float32)).to(small)
-        seen = surface * torch.cat(shown)
+        seen = surface * photographed * torch.cat(shown)
         small = small * seen
         share = shrink(captured, size)
         weight = surface * (config.beside_skin + (1 - config.beside_skin) * (share > 0.5))
@@ -358,6 +371,39 @@ class Faces:
             return torch.ones_like(normal[:, :1])
         toward = normal.new_tensor(direction / np.linalg.norm(direction)).view(1, 3, 1, 1)
         return ((normal * toward).sum(dim=1, keepdim=True) > reach).to(normal)
+
+
+def displacement(rng: np.random.Generator, deviation_mm: float) -> Tensor:
+    """(1, 2, rows, columns) right and down in mm, a smooth field's values at a few places.
+
+    A fit misses coarse shape more than fine: most of the variance is that of `augment.PATCHES`,
+    a third that of places half as far apart. How far a face is displaced differs from face to
+    face, so that one in place is among them.
+    """
+    rows, columns = augment.PATCHES
+    coarse = torch.from_numpy(rng.normal(size=(1, 2, rows, columns)))
+    fine = torch.from_numpy(rng.normal(size=(1, 2, 2 * rows, 2 * columns)))
+    enlarged = functional.interpolate(coarse, fine.shape[2:], mode="bicubic", align_corners=False)
+    amount = deviation_mm * abs(float(rng.normal()))
+    return (amount * ((2 / 3) ** 0.5 * enlarged + (1 / 3) ** 0.5 * fine)).float()
+
+
+def displaced(image: Tensor, shift_mm: Tensor, texel_mm: Tensor) -> Tensor:
+    """An image each of whose texels shows what is beside its own place; zero beyond the border.
+
+    Args:
+        image: (B, c, h, w).
+        shift_mm: (B, 2, rows, columns), how far right and down of a texel its value comes from.
+        texel_mm: (B, 1, h, w), edge of each texel on the surface.
+    """
+    rows, columns = image.shape[2:]
+    shift_mm = shift_mm.to(image)
+    shift = functional.interpolate(shift_mm, (rows, columns), mode="bicubic", align_corners=False)
+    right, down = (shift / texel_mm).unbind(dim=1)
+    x = torch.arange(columns, device=image.device) + 0.5
+    y = torch.arange(rows, device=image.device) + 0.5
+    at = torch.stack([2 * (x + right) / columns - 1, 2 * (y[:, None] + down) / rows - 1], dim=3)
+    return functional.grid_sample(image, at, mode="bilinear", align_corners=False)
 
 
 def read_small(

@@ -26,7 +26,7 @@ from learning.render.environments import RandomLightConfig
 from learning.train import train
 from learning.whole.config import WholeTrainConfig
 from learning.whole.detail import BANDS, Shares, bands, enlarged, with_detail
-from learning.whole.faces import Faces, FacesConfig
+from learning.whole.faces import Faces, FacesConfig, displaced, displacement
 from learning.whole.infer import infer_whole_face
 from learning.whole.score import score_faces
 from learning.whole.train import WholeFaceTrainer, face_losses
@@ -101,6 +101,44 @@ def test_what_a_partial_pair_does_not_show_says_nothing(store_path: Path) -> Non
     assert not bool((batch.inputs[:, :3] * (1 - seen)).any())
     # The truth is asked for there too.
     assert float(batch.weight.min()) == 1.0
+
+
+def test_a_displaced_pair_shows_other_places_and_its_truth_stays(store_path: Path) -> None:
+    in_place = faces_of(store_path).batch([0, 1], np.random.default_rng(3))
+    config = dataclasses.replace(PLAIN, displaced_mm=8.0)
+    batch = faces_of(store_path, config).batch([0, 1], np.random.default_rng(3))
+    assert torch.equal(batch.diffuse_albedo, in_place.diffuse_albedo)
+    assert torch.equal(batch.weight, in_place.weight)
+    # Normals and positions are the fitted shape's, in place.
+    assert torch.equal(batch.inputs[:, 3:9], in_place.inputs[:, 3:9])
+    assert not torch.equal(batch.inputs[:, :3], in_place.inputs[:, :3])
+    assert bool((batch.inputs[:, 9] <= in_place.inputs[:, 9]).all())
+
+
+def test_a_displaced_image_is_read_beside_each_texel_by_its_own_size() -> None:
+    image = torch.arange(5.0 * 8).view(1, 1, 5, 8)
+    texel_mm = torch.full((1, 1, 5, 8), 2.0)
+    shift = torch.zeros(1, 2, 2, 2)
+    torch.testing.assert_close(displaced(image, shift, texel_mm), image)
+    shift[:, 0] = 4.0
+    right = displaced(image, shift, texel_mm)
+    torch.testing.assert_close(right[..., :-2], image[..., 2:])
+    assert not bool(right[..., -2:].any())
+    shift[:, 0], shift[:, 1] = 0.0, -2.0
+    texel_mm[:, :, :, :4] = 1.0
+    down = displaced(image, shift, texel_mm)
+    torch.testing.assert_close(down[:, :, 2:, :4], image[:, :, :-2, :4])
+    torch.testing.assert_close(down[:, :, 1:, 4:], image[:, :, :-1, 4:])
+
+
+def test_displacements_have_the_deviation_that_is_asked_for() -> None:
+    drawn = [displacement(np.random.default_rng(seed), 4.0) for seed in range(400)]
+    fields = torch.cat(drawn)
+    assert 2.8 < float(fields.square().mean().sqrt()) < 4.2
+    size = fields.square().mean(dim=(1, 2, 3)).sqrt()
+    # Among them are faces in place and faces far off.
+    assert float(size.min()) < 0.1
+    assert float(size.max()) > 8.0
 
 
 def test_what_people_have_in_common_is_their_mean_and_directions_at_right_angles(
