@@ -55,6 +55,10 @@ $(READY): requirements.lock requirements-faces.txt pyproject.toml scripts/system
 	$(INSTALL) --requirement requirements.lock
 	$(INSTALL) --no-deps --require-hashes --requirement requirements-faces.txt
 	$(INSTALL) --no-deps --editable .
+	@echo "Trying it on a tiny capture, which compiles the numeric kernels for good: two minutes."
+	@mkdir -p build
+	@$(BIN)/python -m demo.run --tiny --out build/trial >build/trial.log 2>&1 || \
+	  { tail -n 40 build/trial.log; echo "The trial failed; build/trial.log has all of its output." >&2; exit 2; }
 	@touch $(READY)
 	@echo "Ready. \`. $(BIN)/activate\` brings the commands into this shell; README.md says what to run."
 

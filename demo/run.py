@@ -19,6 +19,7 @@ import typer
 
 from demo.measure import run_measured
 from demo.steps import DemoConfig, Layout, steps
+from demo.tiny import tiny_config
 from lightstage.commands import output_folder, run_app
 from lightstage.counting import counted
 from lightstage.errors import LightstageError
@@ -98,11 +99,17 @@ def main(
         None, "--subject", help="lps or parametric [lps where the scan is at hand]."
     ),
     quick: bool = typer.Option(False, "--quick", help="Half the pixels, a short training."),
+    tiny: bool = typer.Option(
+        False, "--tiny", help="A parametric person in few pixels: tries the installation."
+    ),
 ) -> None:
     """Run the demo."""
     chosen = subject or ("lps" if scan_is_there() else "parametric")
     config = DemoConfig(chosen)
-    if quick:
+    if tiny:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        config = tiny_config(out.with_name(f"{out.name}.rig.json"))
+    elif quick:
         config = dataclasses.replace(
             config, scale=config.scale / 2, atlas_rows=768, train_seconds=30
         )
