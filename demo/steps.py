@@ -37,7 +37,7 @@ class DemoConfig:
     skin_rows: int = 1536
     people: int = 4
     train_seconds: int = 40
-    refine_seconds: int = 60
+    refine_seconds: int = 30
 
 
 @dataclasses.dataclass(frozen=True)
