@@ -36,4 +36,4 @@ def stopped_training(
             f"Begin again with: {shell_line(*words)}"
         )
     kept = f"step {read_checkpoint(out).step} is kept in {out}"
-    return StoppedError(f"Interrupted: {kept}. Go on with: {shell_line(*words, '--resume')}")
+    return StoppedError(f"Interrupted: {kept}. To resume: {shell_line(*words, '--resume')}")

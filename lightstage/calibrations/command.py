@@ -89,7 +89,7 @@ def calibrate_command(
             options = resume_with(leds, cameras, config, flags)
             line = calibrate_line(kind, rig.absolute(), out.absolute(), options)
             ended = stopped() if isinstance(error, KeyboardInterrupt) else error
-            raise type(ended)(f"{ended}\n  Go on with: {line}") from None
+            raise type(ended)(f"{ended}\n  To resume: {line}") from None
     held = (shots.file.expires - shots.file.created).total_seconds() / 86400
     finish(
         f"{shots.root}: {counted(report.poses, 'pose')}, {report.again} taken again, "

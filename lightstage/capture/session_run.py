@@ -28,7 +28,7 @@ from lightstage.operator.plain import plain
 from lightstage.patterns import on_plane
 from lightstage.patterns.names import BINARY
 from lightstage.preflight import Plan, clear_privacy, drift, preflight, require, set_back
-from lightstage.resume_line import RESUME_WITH, resume_line, retake_line
+from lightstage.resume_line import RESUME_WITH
 from lightstage.rig import Rig, load_rig
 from lightstage.safety import photosensitivity_findings
 from lightstage.sequence import Shot
@@ -43,6 +43,7 @@ from lightstage.session import (
 )
 from lightstage.session.manifest import write_manifest
 from lightstage.steps import step
+from lightstage.ways import readers_ways
 
 SPARE = 1.5
 """Photographs that cards and disk must have room for, against those that are planned."""
@@ -181,11 +182,12 @@ def _last_words(
         return error
     if not order.alone:
         return type(error)(plain(reason))
-    message = f"{plain(reason)}\n  Go on with: {resume_line(order.root, order.resume_with)}"
+    ways = readers_ways()
+    message = f"{plain(reason)}\n  {ways.resume(order.root, order.resume_with)}"
     patterns, ids = ([], []) if run is None else run.suspected
     if patterns:
-        older = retake_line(order.root, patterns, ids, order.resume_with)
-        message += f"\n  Where that shows the same, take the others again: {older}"
+        older = ways.retake(order.root, patterns, ids, order.resume_with)
+        message += f"\n  If that finds the same again, an earlier photograph is wrong. {older}"
     return type(error)(message)
 
 

@@ -28,7 +28,7 @@ from lightstage.console.access import CSRF_FIELD, CSRF_HEADER, Guard, Visitors, 
 from lightstage.console.album import why_not
 from lightstage.console.desk import CHECK, LOOK, STAGE, Desk
 from lightstage.console.following import Followed, Photograph
-from lightstage.console.showing import Person, page_words
+from lightstage.console.showing import Person
 from lightstage.day import PUBLISHED, Planned, PlannedSubject
 from lightstage.errors import ConfigError, FormatError, LightstageError
 from lightstage.operator.words import heard_words
@@ -153,7 +153,7 @@ class Pages:
         name, state = await _away(self._desk.current)
         if name and await _away((self._desk.folder / name / "journal.jsonl").exists):
             return RedirectResponse(f"/session/{_quoted(name)}", 303)
-        problem = page_words(state.said) if state is not None and state.failed else ""
+        problem = state.said if state is not None and state.failed else ""
         values = {"name": name, "job": state, "problem": problem}
         return self._page(request, "starting.html", "Live", values)
 
@@ -345,8 +345,7 @@ class Pages:
                 "sessions": seen,
                 "folder": self._desk.folder,
                 "checking": checking,
-                "problem": page_words(checking.said) if failed and checking else "",
-                "page_words": page_words,
+                "problem": checking.said if failed and checking else "",
             }
 
         return self._page(request, "sessions.html", "Sessions", await _away(values))

@@ -23,8 +23,9 @@ from lightstage.formats.paths import path_inside
 from lightstage.operator.journal_stream import JournalTail
 from lightstage.operator.runtime import socket_answers
 from lightstage.operator.view import View
-from lightstage.operator.words import PRESSED, SIGNS, number_of, text_of
+from lightstage.operator.words import SIGNS, number_of, text_of
 from lightstage.session.opening import JOURNAL
+from lightstage.ways import PRESSED
 
 ALIVE_S = 1.0
 """How often a running capture's socket is tried."""

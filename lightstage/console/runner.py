@@ -16,6 +16,7 @@ from typing import Any
 from lightstage.errors import CaptureError, LightstageError
 from lightstage.formats.files import read_json, write_json
 from lightstage.printable import printable_lines
+from lightstage.ways import CONSOLE, READER
 
 SCHEMA = "lightstage.console-job/1"
 FOLDER = ".console"
@@ -117,7 +118,7 @@ class Runner:
                     stderr=subprocess.STDOUT,
                     cwd=self._cwd,
                     start_new_session=True,
-                    env={**os.environ, "TERM": "dumb", "COLUMNS": "200"},
+                    env={**os.environ, "TERM": "dumb", "COLUMNS": "200", READER: CONSOLE},
                 )
             self._children[child.pid] = child
             job = Job(kind, what, session, child.pid, born(child.pid) or 0, log.name)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -63,25 +62,6 @@ BANNERS: dict[Phase, tuple[str, str]] = {
     "gone": ("✕", "THE CAPTURE ENDED WITHOUT A WORD"),
 }
 """Sign and words of each phase; of ``running`` where nothing is lit."""
-
-
-PRESSED_INSTEAD = (
-    (
-        re.compile(r"Go on with(?: it)?: lightstage capture --resume .*"),
-        "Press g on the session's page to resume it.",
-    ),
-    (
-        re.compile(r"While it is captured: lightstage watch .*"),
-        "If its capture was interrupted, press g on the session's page.",
-    ),
-    (
-        re.compile(
-            r"take the others again: lightstage retake (?:'[^']*'|\S+) ((?:(?!--)\S+ ?)+).*"
-        ),
-        r"take these again: \1(click each photograph, then its button).",
-    ),
-)
-"""Lines of commands that name another command, and what the page has in their place."""
 
 
 class Cell(NamedTuple):
@@ -210,7 +190,7 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
             "actions": actions(view, followed.live, starting),
             "live": followed.live,
             "job": state,
-            "problem": page_words(state.said) if state is not None and state.failed else "",
+            "problem": state.said if state is not None and state.failed else "",
             "resumable": view.phase in ("aborted", "gone") and not (followed.live or starting),
             "marks": [(MARKS[mark], words) for mark, words in LEGEND],
             "last_id": view.last_id,
@@ -235,13 +215,6 @@ def take_of(folder: str) -> int:
     """Number of a take by its folder's name (`lightstage.day.plan.take_folder`)."""
     number = folder.split("+")[2:3]
     return int(number[0]) if number and number[0].isdecimal() else 1
-
-
-def page_words(text: str) -> str:
-    """A command's last words for somebody who has the page: its keys in place of a shell's."""
-    for typed, pressed in PRESSED_INSTEAD:
-        text = typed.sub(pressed, text)
-    return text
 
 
 def _rows(followed: Followed, most: int) -> list[Row]:

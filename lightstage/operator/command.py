@@ -26,7 +26,7 @@ from lightstage.operator.screen import Ask, Screen
 from lightstage.operator.terminal import Shown
 from lightstage.operator.view import View
 from lightstage.printable import printable
-from lightstage.resume_line import resume_line
+from lightstage.ways import TYPED
 
 KEYBOARD = 0
 
@@ -88,7 +88,7 @@ def watch_command(
         _watch(session, view)
     gone, ended = view.phase == "gone", view.phase in ("aborted", "complete", "before")
     stopped = gone or view.phase == "aborted"
-    again = f"\n  Go on with: {resume_line(session, view.options)}" if stopped else ""
+    again = f"\n  {TYPED.resume(session, view.options)}" if stopped else ""
     finish(
         f"{session}: {view.kept} of {counted(view.wanted, 'photograph')} kept, "
         f"{len(view.done)} of {counted(len(view.patterns), 'pattern')} done, "

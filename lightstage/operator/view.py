@@ -17,10 +17,8 @@ from typing import Any, Literal
 from lightstage.counting import counted
 from lightstage.operator.attendance import Decision, possible_answers
 from lightstage.operator.words import (
-    TYPED,
     Mark,
     Said,
-    Ways,
     duration,
     names_of,
     number_of,
@@ -29,6 +27,7 @@ from lightstage.operator.words import (
 )
 from lightstage.printable import printable
 from lightstage.resume_line import options_of
+from lightstage.ways import TYPED, Ways
 
 State = Literal[
     "idle", "triggering", "downloading", "kept", "failed", "late", "restarting", "in question"

@@ -9,13 +9,14 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from lightstage.counting import counted
 from lightstage.findings import accepted_in_words
 from lightstage.operator.plain import cause
 from lightstage.printable import printable, printable_lines
-from lightstage.resume_line import options_of, resume_line, watch_line
+from lightstage.resume_line import options_of
+from lightstage.ways import TYPED, Ways
 
 Tone = Literal["quiet", "plain", "good", "warning", "problem", "stop"]
 """``quiet`` is seen in the picture alone; ``problem`` needs somebody; ``stop`` ends the capture."""
@@ -51,26 +52,10 @@ ON_CARD = "on-card"
 MISSING = "Photographs that came are kept. If it fails again, look at its cable, battery and card."
 """Shown where a photograph did not come."""
 FOLLOW = "{follow}"
+"""Stands for the sentence of how to follow the capture."""
 FAILED = "It is tried again by itself; look at its cable, battery and card if it fails again."
-RESUME = "Nothing that was kept is lost. {how}"
-
-
-class Ways(NamedTuple):
-    """How somebody who reads the lines resumes and follows a capture.
-
-    Attributes:
-        resume: a sentence; ``{resume}`` stands for the command.
-        follow: the same of ``{watch}``; empty where who reads it does follow.
-    """
-
-    resume: str
-    follow: str
-
-
-TYPED = Ways("Go on with: {resume}", "Anyone here can follow with: {watch}")
-"""In a terminal."""
-PRESSED = Ways("Press g to resume it.", "")
-"""On the console's page."""
+RESUME = "Nothing that was kept is lost. {resume}"
+"""``{resume}`` stands for the sentence of how to resume it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,19 +131,18 @@ def said(line: Line, session: str = "SESSION", ways: Ways = TYPED) -> Said:
 
     Args:
         line: as read; any field may be missing.
-        session: the session's folder, for what to type.
-        ways: of whoever reads it.
+        session: the session's folder.
+        ways: how whoever reads it resumes and follows that session.
     """
     event = text_of(line, "event")
     make = _WORDS.get(event)
     if make is None:
         return Said("quiet", f"{event or 'something'} {_place(line)}".strip())
     words = make(line)
-    if words.text == FOLLOW and not ways.follow:
+    text = words.text.replace(FOLLOW, ways.follow(session))
+    if not text:
         words = dataclasses.replace(words, tone="quiet")
-    text = words.text.replace(FOLLOW, ways.follow).replace("{watch}", watch_line(session))
-    todo = words.todo.replace("{how}", ways.resume)
-    todo = todo.replace("{resume}", resume_line(session, options_of(line)))
+    todo = words.todo.replace("{resume}", ways.resume(session, options_of(line)))
     return dataclasses.replace(
         words,
         text=text,

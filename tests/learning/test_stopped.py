@@ -135,7 +135,7 @@ def test_every_preset_says_what_is_kept_and_the_line_it_says_goes_on(
         code, said, told = train(*words, "--json")
     assert code == 130
     assert read_checkpoint(out).step == 2
-    found = re.fullmatch(r"Interrupted: step 2 is kept in (.*)\. Go on with: (.*)", last(told))
+    found = re.fullmatch(r"Interrupted: step 2 is kept in (.*)\. To resume: (.*)", last(told))
     assert found is not None, told
     assert found[1] == str(out)
     assert json.loads(said)["error"]["message"] == last(told)

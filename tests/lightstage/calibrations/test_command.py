@@ -71,7 +71,7 @@ def test_a_forgotten_target_is_told_at_once_and_stopped_shots_go_on(taken):
     last, again = asked.stderr.splitlines()[-2:]
     assert "CaptureError" in last
     assert "found stopped after 0 of 2 poses" in last
-    line = shlex.split(again.partition("Go on with: ")[2])
+    line = shlex.split(again.partition("To resume: ")[2])
     assert line[:5] == ["lightstage", "calibrate", "chart", "--resume", "--rig"]
     assert {"--out", "--leds", "--cameras"} < set(line)
     assert dark_after

@@ -97,7 +97,7 @@ def test_a_signal_ends_dark_with_whole_files_however_often_it_comes(stage, tmp_p
     assert "Traceback" not in printed
     assert printed.count("STOPPING") == 1
     assert json.loads((out / "journal.jsonl").read_text().splitlines()[-1])["event"] == "aborted"
-    assert "Stopped by the operator.\n  Go on with: lightstage capture --resume --out" in printed
+    assert "Stopped by the operator.\n  To resume: lightstage capture --resume --out" in printed
     assert "Error" not in printed
     assert stage.device.dark
     assert not (out / "session.json").exists()

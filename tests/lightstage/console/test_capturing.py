@@ -269,13 +269,17 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.press("q")
         browser.wait('document.body.innerText.includes("STOPPED")')
         assert stage.device.dark
-        # g goes on with it; s, beside it on the keyboard, only says so.
+        # g resumes it; s, beside it on the keyboard, only reports that.
         browser.wait("document.querySelector('button[data-key=g]')")
-        assert "Press g to resume it" in browser.js("document.body.innerText")
+        assert "Press g on the session's page to resume it." in browser.js(
+            "document.body.innerText"
+        )
         assert "lightstage capture" not in browser.js("document.body.innerText")
         wait_until(lambda: not site.desk.running(), "an idle stage")
         browser.press("s")
-        browser.wait("document.getElementById('said').innerText.includes('Press g to go on')")
+        browser.wait(
+            "document.getElementById('said').innerText.includes('Press g to resume it, or')"
+        )
         assert browser.js("location.pathname").startswith("/session/P1%2Bsmile")
         assert not site.desk.running()
         for key, path in (("1", "/plan"), ("3", "/devices"), ("4", "/sessions")):
@@ -287,7 +291,7 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.press("1")
         browser.wait("location.pathname === '/plan' && document.querySelector('[data-key=g]')")
         browser.press("s")
-        browser.wait("document.getElementById('said').innerText.includes('press g to go on')")
+        browser.wait("document.getElementById('said').innerText.includes('press g to resume it')")
         browser.press("g")
         browser.wait('document.body.innerText.includes("COMPLETE")')
         assert "Stopped by the operator" not in browser.js(

@@ -165,7 +165,7 @@ def test_a_capture_that_is_killed_is_told_as_not_over(tmp_path, replay, capturin
     done = watch(tmp_path)
     assert done.returncode == 0
     assert "not over at line 31, and no capture runs" in done.stdout
-    assert f"Go on with: lightstage capture --resume --out {tmp_path}" in done.stdout
+    assert f"To resume: lightstage capture --resume --out {tmp_path}" in done.stdout
     with pytest.raises(CaptureError, match="no capture that answers"):
         ask(tmp_path, "abort")
 
@@ -262,7 +262,7 @@ def test_what_was_stopped_ends_with_the_line_that_goes_on(tmp_path, story, writt
     done = watch(tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.endswith(
-        f"Go on with: lightstage capture --resume --out {tmp_path} --leds socket://x:1\n"
+        f"To resume: lightstage capture --resume --out {tmp_path} --leds socket://x:1\n"
     )
 
 

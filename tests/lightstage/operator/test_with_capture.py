@@ -52,7 +52,7 @@ def test_q_in_the_middle_is_a_stop_and_the_advised_line_goes_on(stage, capture, 
     terminal.wait_for("STOPPING: lights out")
     terminal.wait_for("Stopped by the operator.")
     assert "Error" not in terminal.said
-    advised = re.findall(r"Go on with: (lightstage capture --resume[^\r\n]*)", terminal.said)[-1]
+    advised = re.findall(r"To resume: (lightstage capture --resume[^\r\n]*)", terminal.said)[-1]
     assert len(events(out, "aborted")) == 1
     assert not (out / "session.json").exists()
     kept = len(events(out, "frame"))
@@ -149,7 +149,7 @@ def test_who_watches_a_capture_that_is_killed_is_told_so_with_the_line_that_goes
     (begin,) = events(out, "begin")
     for each in (watcher, later):
         assert each.end() == 0, each.said[-3000:]
-        each.wait_for(f"Go on with: {resume_line(out, begin['resume_with'])}")
+        each.wait_for(f"To resume: {resume_line(out, begin['resume_with'])}")
         left = "\n".join(each.emulator.history)
         assert "and no capture runs" in left
         assert "\nNO CAPTURE RUNS\n" in left

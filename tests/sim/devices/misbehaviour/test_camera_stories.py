@@ -69,7 +69,7 @@ def test_a_camera_that_cannot_go_on_is_told_with_what_to_do_and_nothing_else_is_
 ):
     ending = stage.capture(fault)
     assert set(ending.happened) == {fault.name}
-    for part in ("x+ by cam1", message, "Go on with: lightstage capture --resume --out"):
+    for part in ("x+ by cam1", message, "To resume: lightstage capture --resume --out"):
         assert part in ending.said
     assert ending.dark
     assert ending.shots() == ["full"]

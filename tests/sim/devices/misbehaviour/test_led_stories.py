@@ -133,7 +133,7 @@ def test_lights_of_which_the_device_says_what_it_was_told_show_in_the_photograph
 ):
     # Broken when x- is lit: x+ and x- no longer sum to full.
     ending = stage.capture(Fault(name, lights=lights, at=SET_X_MINUS))
-    refused(ending, "x-", "Go on with: lightstage capture --resume")
+    refused(ending, "x-", "To resume: lightstage capture --resume")
 
 
 def test_a_wrong_acknowledgement_voids_the_photograph_alone(stage):
