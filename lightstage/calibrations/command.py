@@ -42,7 +42,7 @@ def register(app: typer.Typer) -> None:
 
 def calibrate_command(
     kind: str = typer.Argument(help=f"What is photographed: {', '.join(KIND_NAMES)}."),
-    rig: Path = typer.Option(..., "--rig", help="rig.json: where lights and cameras stand."),
+    rig: Path = typer.Option(..., "--rig", help="rig.json: the places of lamps and cameras."),
     out: Path = output_folder("--out", help="The lab's folder of calibration shots.", shared=True),
     leds: str = typer.Option(..., help="The LED device, as for `capture`."),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),

@@ -84,7 +84,7 @@ def capture_command(
         "--out", help="The session's folder: new, or with --resume.", default=None
     ),
     rig: Path | None = typer.Option(
-        None, "--rig", help="rig.json: where lights and cameras stand."
+        None, "--rig", help="rig.json: the places of lamps and cameras."
     ),
     sequence: str | None = typer.Option(
         None, help="Named sequence, or pattern names with commas (binary)."

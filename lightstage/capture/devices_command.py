@@ -30,7 +30,7 @@ def register(app: typer.Typer) -> None:
 
 
 def devices_command(
-    rig: Path = typer.Option(..., help="rig.json: where lights and cameras stand."),
+    rig: Path = typer.Option(..., help="rig.json: the places of lamps and cameras."),
     leds: str = typer.Option(
         ...,
         help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://..; or NAME=URL,NAME=URL",

@@ -113,7 +113,7 @@ def test_a_question_waits_dark_for_the_page(staged, plan) -> None:
         devices = visitor.get("/devices/part").text
         assert "news warning" not in devices  # nothing is near its budget
         assert re.search(
-            r"at [0-9]+ % of full power's warmth at most \(90 % are allowed\).* "
+            r"at [0-9]+ % of full power's heat at most \(90 % are allowed\).* "
             r"[0-9]+ s at full level \(600 s are allowed\)",
             devices,
         ), devices
@@ -240,7 +240,9 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         # In a pause r takes again the pattern that was shown, and says which.
         shown = browser.js("document.querySelector('[data-key=r]').innerText.split(' ')[1]")
         browser.press("r")
-        browser.wait(f"document.getElementById('said').innerText.includes('{shown} will be taken')")
+        browser.wait(
+            f"document.getElementById('message').innerText.includes('{shown} will be taken')"
+        )
         browser.press("c")
         browser.wait('document.body.innerText.includes("COMPLETE")')
         taken = [each["pattern"] for each in events_of(site.desk.folder / "P1+neutral", "lit")]
@@ -278,7 +280,7 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         wait_until(lambda: not site.desk.running(), "an idle stage")
         browser.press("s")
         browser.wait(
-            "document.getElementById('said').innerText.includes('Press g to resume it, or')"
+            "document.getElementById('message').innerText.includes('Press g to resume it, or')"
         )
         assert browser.js("location.pathname").startswith("/session/P1%2Bsmile")
         assert not site.desk.running()
@@ -291,7 +293,9 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.press("1")
         browser.wait("location.pathname === '/plan' && document.querySelector('[data-key=g]')")
         browser.press("s")
-        browser.wait("document.getElementById('said').innerText.includes('press g to resume it')")
+        browser.wait(
+            "document.getElementById('message').innerText.includes('press g to resume it')"
+        )
         browser.press("g")
         browser.wait('document.body.innerText.includes("COMPLETE")')
         assert "Stopped by the operator" not in browser.js(
