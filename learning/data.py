@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -43,6 +44,7 @@ from learning.render.environments import (
     around,
     random_environment,
 )
+from learning.render.kept_shadows import shadows_of_scan
 from learning.render.occlusion import PositionGrid
 from learning.render.shading import Mode, ShadeOptions, SkinMaps, shade, unit
 from learning.render.uv import texel_surface
@@ -185,6 +187,7 @@ class PatchData:
         clock: Clock | None = None,
         draws: int = 0,
         seed: int = 0,
+        shadows: Path | None = None,
     ) -> None:
         """Find the patches, draw sets of lights and bake their shadows.
 
@@ -200,6 +203,7 @@ class PatchData:
             clock: what is drawn counts on it as data and rendering.
             draws: environments of each pair beside the input's own, for the rendering loss.
             seed: of the one target, which people trained on and held out share.
+            shadows: folder of kept shadows; None where they are baked each time.
 
         Raises:
             TrainingError: no patch is covered enough.
@@ -209,6 +213,7 @@ class PatchData:
         self._lights, self._variation = lights, variation
         self._options = ShadeOptions(mode)
         self._draws = draws
+        self._shadows = shadows
         self._target = target_environment(lights, mode, seed) if config.target == "one" else None
         self._patches: collections.OrderedDict[tuple[int, int, int], Region]
         self._patches = collections.OrderedDict()
@@ -376,8 +381,8 @@ class PatchData:
         arrays = self._shrunk(scan, (rows, columns))
         covered = arrays["confidence"][:, :, 0] > 0
         surface = texel_surface(arrays["position"], covered, smooth_px=1.0)
-        name = info.sha256 and f"{info.sha256} of skin"
-        return ScanLight(groups, PositionGrid(arrays["position"], surface.normal, covered, name))
+        kept = shadows_of_scan(self._shadows, info.sha256, "skin")
+        return ScanLight(groups, PositionGrid(arrays["position"], surface.normal, covered, kept))
 
 
 def _region(arrays: dict[str, np.ndarray], inner: tuple[slice, slice]) -> Region:

@@ -30,8 +30,10 @@ def patch_task(
     config = trainer.config
     rng, seed = np.random.default_rng([config.seed, 1]), config.seed
     how = (config.data, config.lights, config.augment, rng, config.shading)
-    data = PatchData(store, trained_on, *how, clock=run.clock, draws=config.draws, seed=seed)
-    scored = PatchData(store, held_out, *how, seed=seed)
+    data = PatchData(
+        store, trained_on, *how, clock=run.clock, draws=config.draws, seed=seed, shadows=run.shadows
+    )
+    scored = PatchData(store, held_out, *how, seed=seed, shadows=run.shadows)
 
     def finish() -> tuple[Score, list[Sample]]:
         said = trainer.answers()

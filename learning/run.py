@@ -129,6 +129,7 @@ class Run:
         events: of this call, as TensorBoard reads them.
         clock: of this call's steps. What makes batches and renders counts its own parts on it; what
             is left of a step counts as the network's.
+        shadows: folder of baked shadows that trainings share; None where each bakes its own.
     """
 
     out: Path
@@ -140,6 +141,7 @@ class Run:
     processes: Processes = ALONE
     events: EventFile | None = None
     clock: Clock = dataclasses.field(default_factory=Clock)
+    shadows: Path | None = None
 
     def steps(self, learner: Learner, total: int, progress: ProgressCallback = quiet) -> int:
         """Train until the steps or the seconds are used up; returns the steps done in all.
@@ -298,6 +300,7 @@ def begin(
     resume: bool,
     load: Callable[[Checkpoint], None],
     processes: Processes = ALONE,
+    shadows: Path | None = None,
 ) -> Run:
     """Begin a run in a folder, or go on with the one that is there.
 
@@ -309,6 +312,7 @@ def begin(
         resume: go on.
         load: takes over the state of the checkpoint that is gone on with.
         processes: that train together.
+        shadows: folder of baked shadows that trainings share; None where each bakes its own.
 
     Raises:
         CheckpointError: nothing to resume, another configuration or other data; or, without
@@ -339,7 +343,7 @@ def begin(
         "texture_rows": store.scans[0].rows,
         "metrics": {},
     }
-    return Run(out, config, about, first, began, spent, processes, EventFile(out))
+    return Run(out, config, about, first, began, spent, processes, EventFile(out), shadows=shadows)
 
 
 def not_better(score: Scored) -> str:

@@ -47,6 +47,7 @@ def train(
     progress: ProgressCallback = quiet,
     device: torch.device = CPU,
     processes: Processes = ALONE,
+    shadows: Path | None = None,
 ) -> TrainResult[Any]:
     """Train, score on the people held out, leave a checkpoint and metrics.jsonl in `out`.
 
@@ -61,6 +62,7 @@ def train(
         progress: called with steps, or seconds where the time is given.
         device: where the networks run; what they are fed with is made on the processor.
         processes: that train together, of which this is one. The batch is that of all of them.
+        shadows: folder of baked shadows that trainings share; None where each bakes its own.
 
     Returns:
         With the family's own figures.
@@ -75,7 +77,7 @@ def train(
     held_out, trained_on = split(store, config.held_out_subjects)
     processes.share(config.batch)
     trainer = make(config, device, processes)
-    run = begin(out, config, store, held_out, resume, trainer.load, processes)
+    run = begin(out, config, store, held_out, resume, trainer.load, processes, shadows)
     trainer.clock = run.clock
     task = task_of(trainer, store, trained_on, held_out, run)
     for network in trainer.networks():

@@ -24,8 +24,8 @@ from learning.experiments.work import (
     SHADOWS,
     STOPPED,
     Order,
+    bake_shadows,
     one_run,
-    prepare,
 )
 from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
@@ -120,14 +120,7 @@ def experiment_command(
     left = [order for order in orders if not order.finished]
     ended: list[str] = []
     if request.prepare:
-        differing = _differing(left)
-        done = 0
-        while done < len(differing) and not differing[done].over():
-            prepare(differing[done])
-            done += 1
-            progress(done, len(differing))
-        seconds = time.monotonic() - began
-        return {"prepared": done, "to_prepare": len(differing), "seconds": seconds}
+        return _prepared(left, progress, began)
     tell(left_line(orders, left, request.jobs, config))
     reported = time.monotonic()
 
@@ -349,9 +342,17 @@ def _orders(
     ]
 
 
-def _differing(orders: list[Order]) -> list[Order]:
-    """One order of each setting and seed: a run's shadows are the same at any budget."""
-    return list({(order.variant.name, order.seed): order for order in orders}.values())
+def _prepared(left: list[Order], progress: ProgressCallback, began: float) -> dict[str, Any]:
+    """Bake the shadows of the runs that are left until it is time to stop; returns the facts."""
+    # One order of each setting and seed: a run's shadows are the same at any budget.
+    differing = list({(order.variant.name, order.seed): order for order in left}.values())
+    done = 0
+    while done < len(differing) and not differing[done].over():
+        bake_shadows(differing[done])
+        done += 1
+        progress(done, len(differing))
+    seconds = time.monotonic() - began
+    return {"prepared": done, "to_prepare": len(differing), "seconds": seconds}
 
 
 def runs_folder(out: Path) -> Path:

@@ -50,7 +50,6 @@ from learning.infer import infer
 from learning.patch_config import PatchConfig
 from learning.patch_light import target_environment
 from learning.render.environments import Environment, RandomLightConfig
-from learning.render.kept_shadows import shadows_kept_in
 from learning.run import METRICS, Run, TrainResult
 from learning.train import TRAINERS, train
 from learning.whole.infer import infer_whole_face
@@ -148,29 +147,27 @@ def one_run(order: Order) -> dict[str, Any]:
     if order.over():
         return {"state": STOPPED}
     try:
-        with shadows_kept_in(order.shadows):
-            return _run(order)
+        return _run(order)
     except KeyboardInterrupt:
         if not order.over():
             raise
         return {"state": STOPPED}
 
 
-def prepare(order: Order) -> None:
+def bake_shadows(order: Order) -> None:
     """Bake the shadows that a run needs, into the folder that all runs share; nothing is trained.
 
     A machine without Open3D, which casts them, can then do the run.
     """
-    with shadows_kept_in(order.shadows):
-        store, trained_on, held_out = _people(order)
-        config = _config(order, held_out)
-        shadowless = isinstance(config, PatchConfig) and not config.data.shadow_rows
-        if not order.variant.refines and not shadowless:
-            make, task_of = TRAINERS[config.family]
-            run = Run(order.folder, config, {}, 0, time.monotonic())
-            task_of(make(config), store, trained_on, held_out, run)
-        for subject in read_subjects(store, held_out, order.config.shadow_rows):
-            shadowed(subject, _target(order), _lights(order))
+    store, trained_on, held_out = _people(order)
+    config = _config(order, held_out)
+    shadowless = isinstance(config, PatchConfig) and not config.data.shadow_rows
+    if not order.variant.refines and not shadowless:
+        make, task_of = TRAINERS[config.family]
+        run = Run(order.folder, config, {}, 0, time.monotonic(), shadows=order.shadows)
+        task_of(make(config), store, trained_on, held_out, run)
+    for subject in read_subjects(store, held_out, order.config.shadow_rows, order.shadows):
+        shadowed(subject, _target(order), _lights(order))
 
 
 def _run(order: Order) -> dict[str, Any]:
@@ -251,7 +248,9 @@ def _trained(
         # A training counts its seconds anew in each call.
         left = config.seconds - read_checkpoint(folder).step_seconds
         config = dataclasses.replace(config, seconds=max(left, LEAST_SECONDS))
-    result: TrainResult[Any] = train(store, folder, config, resume, progress, device)
+    result: TrainResult[Any] = train(
+        store, folder, config, resume, progress, device, shadows=order.shadows
+    )
     # The first step compiles loops, which is no part of a training's time.
     some = len(ticks) > 1
     each = (ticks[-1] - ticks[0]) / (len(ticks) - 1) if some else result.step_seconds
@@ -288,7 +287,8 @@ def _measured(
     tones = tones_of(originals, tuple(map(subject_of, held_out)))
     people: list[dict[str, Any]] = []
     seconds: list[float] = []
-    for index, subject in enumerate(read_subjects(store, held_out, order.config.shadow_rows)):
+    subjects = read_subjects(store, held_out, order.config.shadow_rows, order.shadows)
+    for index, subject in enumerate(subjects):
         if order.over():
             raise KeyboardInterrupt
         found = measure(subject, _target(order), _lights(order), ask)

@@ -101,7 +101,8 @@ def face_task(
         people: set[str], how: FacesConfig, skins: AugmentConfig, lit_on: torch.device = CPU
     ) -> Faces:
         drawn = (config.lights, skins, rng, config.shading)
-        return Faces(store, people, config.network, how, *drawn, clock=run.clock, lit_on=lit_on)
+        own = (store, people, config.network, how)
+        return Faces(*own, *drawn, clock=run.clock, lit_on=lit_on, shadows=run.shadows)
 
     faces = faces_of(trained_on, config.faces, config.augment, trainer.device)
     # Scored are people as they are, and all of their faces.

@@ -13,15 +13,19 @@ import pytest
 
 from lightstage.checks import check_session
 from lightstage.console.runner import Runner
+from sim.browser import Browser, chromium
 from sim.devices.faults import Fault
 from sim.devices.processes import descendants
-from tests.browser import Browser
 from tests.lightstage.console.conftest import (
     Visitor,
     events_of,
     served,
     together,
     wait_until,
+)
+
+needs_chromium = pytest.mark.skipif(
+    chromium() is None, reason="no Chromium: install Debian's package chromium"
 )
 
 
@@ -218,6 +222,7 @@ def test_a_server_that_is_killed_changes_nothing_of_a_capture(staged, plan) -> N
         process.wait()
 
 
+@needs_chromium
 def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
     held = []
 
@@ -317,6 +322,7 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         assert browser.js("document.body.classList.contains('old')")
 
 
+@needs_chromium
 def test_a_question_shows_its_photograph_and_says_that_the_camera_is_set_back(
     staged, plan, tmp_path
 ) -> None:
