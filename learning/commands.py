@@ -329,8 +329,8 @@ def infer_command(
         networks, _ = load_four_networks(about.folder) if four else load_generator(about.folder)
         image, notes = resampled_texture(image, about.texture_rows, texture)
         # Before the frame of specular normals could be chosen it was the head's.
-        told = {"specular_frame": "head", **about.config.get("data", {})}
-        data = make_config(DataConfig, told, about.folder)
+        fields = {"specular_frame": "head", **about.config.get("data", {})}
+        data = make_config(DataConfig, fields, about.folder)
         placed = np.eye(3, 4) if pose is None else pose
         given = (data, image, shape, placed, progress, named)
         with memory_of(device, texture, ON_CPU):

@@ -113,13 +113,13 @@ def memory_of(device: torch.device, where: str | Path, hint: str) -> Iterator[No
         yield
     except RuntimeError as error:
         # For Apple's GPUs torch has no class of this error.
-        said = " ".join(str(error).split())
-        if not isinstance(error, torch.OutOfMemoryError) and "MPS backend out of" not in said:
+        message = " ".join(str(error).split())
+        if not isinstance(error, torch.OutOfMemoryError) and "MPS backend out of" not in message:
             raise
         raise DeviceMemoryError(
             where,
             field=f"memory of {device}",
-            found=". ".join(said.split(". ")[:3]).rstrip("."),
+            found=". ".join(message.split(". ")[:3]).rstrip("."),
             expected="work that fits",
             hint=hint,
         ) from None

@@ -191,8 +191,8 @@ def finish_maps(found: Reflectance, spread: Tensor, given: Prepared) -> Inferred
     confidence = 1 / (1 + (spread[:, None] / DISAGREEMENT) ** 2) * given.photographed
     beyond = float(((found.diffuse_albedo > 1).any(dim=1, keepdim=True) * seen).sum() / seen.sum())
     if beyond > 0:
-        said = f"diffuse albedo above 1 was cut off on {100 * beyond:.2g} % of the surface"
-        notes.append(f"{said}; is the texture too bright?")
+        warning = f"diffuse albedo above 1 was cut off on {100 * beyond:.2g} % of the surface"
+        notes.append(f"{warning}; is the texture too bright?")
     maps = {
         "diffuse_albedo": found.diffuse_albedo.clamp(0, 1),
         "specular_albedo": found.specular_albedo.clamp(0, 1),

@@ -42,7 +42,7 @@ BEFORE_DATA = {"whole": True}
 FREE = ("seconds", "precision", "compile", "save_seconds", "log_steps")
 """How long to go on, how fast on the device at hand, and what is written on the way, are new
 decisions each time."""
-MOST_TOLD = 4
+MOST_NAMED = 4
 """Values that differ from those a run began with, at most, that a message names."""
 
 
@@ -258,8 +258,8 @@ class Run:
         """Save the trained network with its figures, and a sheet of some samples."""
         figures = {f.name: getattr(score, f.name) for f in dataclasses.fields(score)}
         shares = self.clock.shares()
-        said = {f"share_{name}": round(share, 4) for name, share in shares.items()}
-        self.log({"step": steps, **figures, **said})
+        shares_logged = {f"share_{name}": round(share, 4) for name, share in shares.items()}
+        self.log({"step": steps, **figures, **shares_logged})
         about = {**self.about, "metrics": figures}
         index = self._save(learner, steps, about)
         if samples and self.processes.first:
@@ -434,13 +434,13 @@ def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
         name: values for name, values in _differences(begun, wanted).items() if name not in FREE
     }
     if differing:
-        told = list(differing)[:MOST_TOLD]
-        more = f" and {len(differing) - len(told)} more" if len(differing) > len(told) else ""
+        named = list(differing)[:MOST_NAMED]
+        more = f" and {len(differing) - len(named)} more" if len(differing) > len(named) else ""
         raise CheckpointError(
             where,
-            field=", ".join(told) + more,
-            found=", ".join(str(differing[name][1]) for name in told) + " now",
-            expected=", ".join(str(differing[name][0]) for name in told) + ", as the run began",
+            field=", ".join(named) + more,
+            found=", ".join(str(differing[name][1]) for name in named) + " now",
+            expected=", ".join(str(differing[name][0]) for name in named) + ", as the run began",
             hint="Resume with the same --preset, --config and --seed.",
         )
     if checkpoint.data_fingerprint != store.fingerprint:

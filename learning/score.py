@@ -76,14 +76,14 @@ def answers_of(generator: Generator) -> Callable[[Batch], Reflectance]:
     """What a generator on any device finds on patches; given and told on the processor."""
     device = device_of(generator)
 
-    def said(batch: Batch) -> Reflectance:
+    def answers(batch: Batch) -> Reflectance:
         return decode_maps(generator(batch.inputs.to(device)).to(CPU), batch.reference)
 
-    return said
+    return answers
 
 
 def score(
-    said: Callable[[Batch], Reflectance],
+    answers: Callable[[Batch], Reflectance],
     held_out: PatchData,
     trained_on: PatchData,
     patches: int,
@@ -114,7 +114,7 @@ def score(
         )
     tone = torch.stack([_tone(trained_on.draw(1, rng)) for _ in range(2 * count)]).mean(dim=0)
     with torch.inference_mode():
-        found = [said(batch) for batch in batches]
+        found = [answers(batch) for batch in batches]
 
     def mean_square(values: list[Tensor]) -> float:
         texels = [

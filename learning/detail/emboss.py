@@ -50,9 +50,9 @@ def embossed(mesh: Mesh, height_mm: np.ndarray, times: int) -> Mesh:
         corners, edges = _split(len(uvs), corners)
         uvs = np.concatenate([uvs, uvs[edges].mean(axis=1)])
         triangles = split
-    said = sample_bilinear(np.asarray(height_mm, float)[..., None], uvs)[:, 0]
+    sampled = sample_bilinear(np.asarray(height_mm, float)[..., None], uvs)[:, 0]
     total, count = np.zeros(len(vertices)), np.zeros(len(vertices))
-    np.add.at(total, triangles.ravel(), said[corners.ravel()])
+    np.add.at(total, triangles.ravel(), sampled[corners.ravel()])
     np.add.at(count, triangles.ravel(), 1.0)
     moved = vertices + (total / np.maximum(count, 1))[:, None] * normals
     return dataclasses.replace(

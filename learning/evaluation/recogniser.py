@@ -162,9 +162,9 @@ def _said_as(path: Path, what: str) -> Iterator[None]:
     try:
         yield
     except cv2.error as wrong:
-        said = " ".join(str(wrong.err).split())[:200]
+        message = " ".join(str(wrong.err).split())[:200]
         raise RecogniserError(
-            path, found=f"{what}: {said}", expected="a recogniser that OpenCV's dnn runs"
+            path, found=f"{what}: {message}", expected="a recogniser that OpenCV's dnn runs"
         ) from None
     finally:
         cv2.utils.logging.setLogLevel(before)

@@ -147,8 +147,8 @@ def _failure(errors: list[Exception]) -> Exception:
     """What a command whose runs failed ends with: a mistake of this software goes first."""
     ours = [error for error in errors if not isinstance(error, LightstageError)]
     # The same fault in fifty runs is reported once.
-    told = {str(error): error for error in errors if isinstance(error, LightstageError)}
-    return ours[0] if ours else one_error(list(told.values()))
+    mendable = {str(error): error for error in errors if isinstance(error, LightstageError)}
+    return ours[0] if ours else one_error(list(mendable.values()))
 
 
 def left_line(orders: list[Order], left: list[Order], jobs: int, config: ExperimentConfig) -> str:
@@ -162,12 +162,12 @@ def left_line(orders: list[Order], left: list[Order], jobs: int, config: Experim
             known.setdefault((order.variant.name, order.budget), []).append(figures["seconds"])
     each = [_expected(order, known, config) for order in left]
     sure = [value for value in each if value is not None]
-    said = f"{counted(len(left), 'run')} of {len(orders)} left"
+    count = f"{counted(len(left), 'run')} of {len(orders)} left"
     if not sure:
-        return f"{said}; how long they take is known once one is finished"
+        return f"{count}; how long they take is known once one is finished"
     # Those of which nothing is known yet take as long as the others.
     seconds = sum(sure) * len(each) / len(sure) / max(1, min(jobs, len(left)))
-    return f"{said}, about {time_words(seconds)}"
+    return f"{count}, about {time_words(seconds)}"
 
 
 def time_words(seconds: float) -> str:
@@ -401,8 +401,8 @@ def _write(
     notes = [*notes, f"Code {runs.name}."]
     others = {path.name: n for path, n in _versions(request.out).items() if path.name != runs.name}
     if any(others.values()):
-        said = ", ".join(f"{count} of {name}" for name, count in others.items() if count)
-        notes.append(f"Runs of other code in this folder are not in the tables: {said}.")
+        listed = ", ".join(f"{count} of {name}" for name, count in others.items() if count)
+        notes.append(f"Runs of other code in this folder are not in the tables: {listed}.")
     line = full_size_line(request.out)
     return write_report(request.out, runs, experiment, config, [*notes, *([line] if line else [])])
 

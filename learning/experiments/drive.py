@@ -162,11 +162,11 @@ def stop_file(out: Path) -> Path:
     return path
 
 
-def no_scheduler(address: str, said: str, version: str) -> ConfigError:
+def no_scheduler(address: str, reason: str, version: str) -> ConfigError:
     """Nothing answers at an address."""
     return ConfigError(
         "--scheduler",
-        found=f"nothing that answers at {address} ({said[:120]})",
+        found=f"nothing that answers at {address} ({reason[:120]})",
         expected="the address of a Dask scheduler, such as tcp://HOST:8786",
         hint="Start one with `dask scheduler`, and look whether its version of distributed is "
         f"{version}.",

@@ -129,8 +129,8 @@ def measure(
         skin = _with(subject.skin, found)
         figures = map_errors(found, subject.maps, measured)
         for figure, light in ((SOURCE, name), (IN_TARGET, TARGET)):
-            said = _lit(skin, chosen[light], visibility[light])
-            figures[figure] = picture_error(said, truth[light], measured)
+            picture = _lit(skin, chosen[light], visibility[light])
+            figures[figure] = picture_error(picture, truth[light], measured)
         out.append(Measured(name, texture, found, figures, seconds))
         progress(done + 1, len(lights))
     return out

@@ -301,8 +301,8 @@ def _measured(
                     _write_picture(order.folder, one, subject.maps["diffuse_albedo"])
     values = [f[name] for p in people for f in p["lights"].values() for name in FIGURES]
     wrong = not all(map(math.isfinite, values))
-    said = {"state": DIVERGED, "said": "figures that are not finite"} if wrong else {}
-    return {"people": people, "infer_seconds": float(np.median(seconds)), **said}
+    diverged = {"state": DIVERGED, "said": "figures that are not finite"} if wrong else {}
+    return {"people": people, "infer_seconds": float(np.median(seconds)), **diverged}
 
 
 def _asked(order: Order, run: Path, device: torch.device) -> Infer:

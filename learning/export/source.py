@@ -212,10 +212,10 @@ def _require_same(
     triangles = mesh.triangles()
     hint = "Give the mesh that the maps were made on, or the maps of this one."
     if "position" in maps:
-        told = maps["position"].reshape(-1, 3)[texels].astype(np.float64)
+        stored = maps["position"].reshape(-1, 3)[texels].astype(np.float64)
         here = raster.at(mesh.vertices, triangles, texels)
-        known = (told != 0).any(axis=1)
-        off = np.linalg.norm(told - here, axis=1)[known]
+        known = (stored != 0).any(axis=1)
+        off = np.linalg.norm(stored - here, axis=1)[known]
         if off.size and np.median(off) > FARTHEST_MM:
             raise MapsError(
                 folder / "position.exr",
@@ -225,12 +225,12 @@ def _require_same(
             )
     there = raster.at(normals, triangles, texels)
     for name in ("diffuse_normal", "specular_normal"):
-        told = maps[name].reshape(-1, 3)[texels].astype(np.float64)
-        length = np.linalg.norm(told, axis=1)
+        stored = maps[name].reshape(-1, 3)[texels].astype(np.float64)
+        length = np.linalg.norm(stored, axis=1)
         known = length > 1e-3
         if not known.any():
             continue
-        cosine = np.einsum("kc,kc->k", told, there)[known] / length[known]
+        cosine = np.einsum("kc,kc->k", stored, there)[known] / length[known]
         off_deg = float(np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))))
         if off_deg > FARTHEST_DEG:
             raise MapsError(

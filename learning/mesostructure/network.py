@@ -58,5 +58,5 @@ class Mesostructure(nn.Module):
         features = torch.relu(self.first(given))
         for layer in self.inner:
             features = features + torch.relu(layer(features))
-        said: Tensor = self.last(features) * given[:, -1:]
-        return said
+        output: Tensor = self.last(features) * given[:, -1:]
+        return output

@@ -150,11 +150,11 @@ class Marks:
         """
         self._face = request.face
         self._file = request.landmarks
-        self._told: dict[str, np.ndarray] = {}
+        self._stated: dict[str, np.ndarray] = {}
         scheme = FACE_MESH
         if self._file is not None:
             scheme = str(read_json(self._file, "lightstage.landmarks/1").get("scheme"))
-            self._told = read_points_px(self._file, scheme if scheme == FACE_MESH else IBUG)
+            self._stated = read_points_px(self._file, scheme if scheme == FACE_MESH else IBUG)
         if scheme == FACE_MESH:
             points = template.face_points
             if points is None:
@@ -185,8 +185,8 @@ class Marks:
         """
         if self._file is not None:
             for name in (path.name, path.stem):
-                if name in self._told:
-                    return self._told[name][self._there]
+                if name in self._stated:
+                    return self._stated[name][self._there]
             raise MapsError(
                 self._file,
                 field="points_px",

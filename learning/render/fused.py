@@ -138,8 +138,8 @@ class FusedLight(torch.autograd.Function):
             asked.position or asked.light_mm or asked.camera,
             asked.rgb,
         )
-        worth = Shaded(array_of(of_irradiance), array_of(of_lobes))
-        backward(skins, lights, ctx.paper, array_of(lobes), worth, wanted, of)
+        gradient = Shaded(array_of(of_irradiance), array_of(of_lobes))
+        backward(skins, lights, ctx.paper, array_of(lobes), gradient, wanted, of)
         sums, camera, ambient = (
             torch.from_numpy(x.sum(axis=1))
             for x in (of.light_sums, of.camera_sums, of.ambient_sums)

@@ -18,12 +18,12 @@ from learning.render.kernel_gradients import (
     GS,
     GSEEN,
     GV,
-    colour_worth,
-    diffuse_worth,
+    colour_gradient,
+    diffuse_gradient,
     finish_block,
-    normal_worth,
-    place_worth,
-    specular_worth,
+    normal_gradient,
+    place_gradient,
+    specular_gradient,
 )
 from learning.render.lanes_math import ANY_ORDER
 from learning.render.texel_blocks import (
@@ -85,14 +85,14 @@ class Gradients(NamedTuple):
 
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
-def start_worths(
+def start_gradients(
     buf: np.ndarray,
     texel: np.ndarray,
     count: int,
     entry: int,
     paper: bool,
     lobes: np.ndarray,
-    worth: Shaded,
+    gradient: Shaded,
 ) -> bool:
     """Start a block: gradients of its sums, the lobe's before it was normalised.
 
@@ -104,8 +104,8 @@ def start_worths(
     buf[GE * TEXELS :] = zero
     for k in range(3):
         for t in range(count):
-            buf[(GE + k) * TEXELS + t] = worth.irradiance[entry, k, texel[t]]
-            of_lobe = worth.lobes[entry, k, texel[t]]
+            buf[(GE + k) * TEXELS + t] = gradient.irradiance[entry, k, texel[t]]
+            of_lobe = gradient.lobes[entry, k, texel[t]]
             gloss |= of_lobe != zero
             buf[(GL + k) * TEXELS + t] = of_lobe
     if gloss and not paper:
@@ -120,7 +120,9 @@ def start_worths(
 
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
-def write_worths(buf: np.ndarray, texel: np.ndarray, count: int, entry: int, of: Gradients) -> None:
+def write_gradients(
+    buf: np.ndarray, texel: np.ndarray, count: int, entry: int, of: Gradients
+) -> None:
     """Write the gradients of the maps that are asked for."""
     for k in range(3):
         for t in range(count):
@@ -142,7 +144,7 @@ def backward(
     lights: Lights,
     paper: bool,
     lobes: np.ndarray,
-    worth: Shaded,
+    gradient: Shaded,
     asked: Asked,
     of: Gradients,
 ) -> None:
@@ -171,7 +173,7 @@ def backward(
             count, first = next_block(buf, texel, entry, first, last, skins, lights)
             if count == 0:
                 break
-            gloss = start_worths(buf, texel, count, entry, paper, lobes, worth)
+            gloss = start_gradients(buf, texel, count, entry, paper, lobes, gradient)
             for j in range(lights.packed.shape[1]):
                 light = lights.packed[entry, j]
                 if black(light) and not asked.colours:
@@ -179,28 +181,28 @@ def backward(
                 by_diffuse, by_specular = toward_light(buf, texel, entry, j, lights)
                 if not (by_diffuse or (gloss and by_specular) or paper):
                     continue
-                diffuse_worth(buf, light, paper)
+                diffuse_gradient(buf, light, paper)
                 if gloss and (by_specular or paper):
-                    specular_worth(buf, light, paper)
+                    specular_gradient(buf, light, paper)
                 if asked.normals:
-                    normal_worth(buf, light)
+                    normal_gradient(buf, light)
                 if asked.places:
-                    place_worth(buf, light, paper, sums[j])
+                    place_gradient(buf, light, paper, sums[j])
                 if asked.colours:
-                    colour_worth(buf, sums[j])
+                    colour_gradient(buf, sums[j])
                 if of_seen.shape[2]:
                     for t in range(count):
                         of_seen[entry, j, texel[t]] = buf[GSEEN * TEXELS + t]
             finish_block(buf)
-            write_worths(buf, texel, count, entry, of)
+            write_gradients(buf, texel, count, entry, of)
             for k in range(3):
                 from_camera, everywhere = zero, zero
                 for t in range(count):
                     n = texel[t]
                     from_camera += buf[(GV + k) * TEXELS + t]
-                    everywhere += worth.irradiance[entry, k, n] * skins.occlusion[entry, 0, n]
+                    everywhere += gradient.irradiance[entry, k, n] * skins.occlusion[entry, 0, n]
                     if of_occlusion.shape[2]:
-                        here = worth.irradiance[entry, k, n] * lights.ambient[entry, k]
+                        here = gradient.irradiance[entry, k, n] * lights.ambient[entry, k]
                         of_occlusion[entry, 0, n] += here
                 camera_sums[entry, number, k] += from_camera
                 ambient_sums[entry, number, k] += everywhere

@@ -183,7 +183,7 @@ def described(directions: Tensor, share: Tensor, order: int) -> Tensor:
 
     l_j is the direction, with an order above 1 its harmonics of band 1 on, of mean square 1.
     """
-    told = directions
+    coordinates = directions
     if order > 1:
-        told = math.sqrt(4 * math.pi) * harmonics(directions, order)[..., 1:]
-    return torch.cat([told.flatten(1), share], dim=1)
+        coordinates = math.sqrt(4 * math.pi) * harmonics(directions, order)[..., 1:]
+    return torch.cat([coordinates.flatten(1), share], dim=1)

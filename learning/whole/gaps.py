@@ -43,16 +43,16 @@ def without_gaps(
         (rows, columns, 3) float32: `beside` where it is known, finite everywhere, 0 without
         surface or where nothing is known.
     """
-    told = known & covered
-    own = np.where(told[..., None], beside, 0).astype(np.float32)
-    found = continued(own, told)
-    other, there = own[:, ::-1], told[:, ::-1]
-    if sides and (there & ~told).any():
-        both = told & there
+    seen = known & covered
+    own = np.where(seen[..., None], beside, 0).astype(np.float32)
+    found = continued(own, seen)
+    other, there = own[:, ::-1], seen[:, ::-1]
+    if sides and (there & ~seen).any():
+        both = seen & there
         share = likeness(own, other, both)
         step = continued((own - share * other) * both[..., None], both)
-        found = np.where((there & ~told)[..., None], share * other + step, found)
-    return np.where(told[..., None], own, found) * covered[..., None]
+        found = np.where((there & ~seen)[..., None], share * other + step, found)
+    return np.where(seen[..., None], own, found) * covered[..., None]
 
 
 def sides_mirror(position_mm: np.ndarray) -> bool:

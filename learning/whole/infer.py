@@ -120,10 +120,10 @@ def infer_whole_face(
     given = face_input(small * shown, low_normal, low_position, shown)
     there = network if device == CPU else copy.deepcopy(network).to(device)
     with torch.inference_mode():
-        said = moved(there(given.to(device)), CPU)
-    log_albedo = _image(said.diffuse_albedo.log())
-    low_specular = np.exp(_image(said.specular_albedo.log())[..., 0])
-    trust = _trust(_image(said.deviation)[..., 0])
+        output = moved(there(given.to(device)), CPU)
+    log_albedo = _image(output.diffuse_albedo.log())
+    low_specular = np.exp(_image(output.specular_albedo.log())[..., 0])
+    trust = _trust(_image(output.deviation)[..., 0])
     refined: Refined | None = None
     if refine_seconds > 0:
         answer = Answer(_image(small), _image(shown)[..., 0] > 0, log_albedo, low_specular, trust)
@@ -152,7 +152,7 @@ def infer_whole_face(
     else:
         diffuse = refined.diffuse_albedo
     specular = np.exp(enlarged(np.log(low_specular), rows, columns))
-    deviation = enlarged(_image(said.deviation)[..., 0], rows, columns)
+    deviation = enlarged(_image(output.deviation)[..., 0], rows, columns)
     if refined is not None:
         deviation *= np.where(refined.known, np.float32(1), np.float32(GAP_ERROR))
     normals = (normal, normal)

@@ -128,7 +128,7 @@ def refine(
     skin = known_skin(network, answer, here, weight)
     fit = LightFit(LitSurface(mesh, low, camera_mm), colours, weight)
     light: Light | None = None
-    found = Explained(skin.said, np.zeros((0, 3)), 1.0, skin.doubt)
+    found = Explained(skin.answer, np.zeros((0, 3)), 1.0, skin.doubt)
     for _ in range(ROUNDS):
         before = skin.albedo(found.along)
         light = fit.find(before, found.gloss * skin.specular, light, until)
@@ -196,11 +196,11 @@ def known_skin(
     mean = network.mean_log_albedo[0].permute(1, 2, 0).numpy()
     counts = np.zeros(here.shape)
     counts[here] = weight
-    said = network.along_modes(to_batch(answer.log_albedo - mean), to_batch(counts)[0])
+    along = network.along_modes(to_batch(answer.log_albedo - mean), to_batch(counts)[0])
     return KnownSkin(
         mean[here].astype(float),
         modes[..., used] * deviations[used],
-        said[0].numpy().astype(float)[used],
+        along[0].numpy().astype(float)[used],
         network.mode_doubt.numpy().astype(float)[np.ix_(used, used)],
         answer.specular[here].astype(float),
     )

@@ -44,14 +44,14 @@ class KnownSkin:
     Attributes:
         mean: (n, 3) natural logarithm of the mean person's diffuse albedo.
         modes: (n, 3, K) directions in which people differ, each one standard deviation long.
-        said: (K,) the network's answer, in standard deviations.
+        answer: (K,) the network's, in standard deviations.
         doubt: (K, K) mean square of the network's error along them.
         specular: (n,) specular albedo.
     """
 
     mean: np.ndarray
     modes: np.ndarray
-    said: np.ndarray
+    answer: np.ndarray
     doubt: np.ndarray
     specular: np.ndarray
 
@@ -236,7 +236,7 @@ class _Problem:
         """The same with what is known before."""
         along, strength, gloss = self._parts(values)
         count, lamps = len(along), len(strength)
-        beside = along - self._skin.said
+        beside = along - self._skin.answer
         cost += float(beside @ self._certain @ beside) + (gloss / GLOSS) ** 2
         normal[:count, :count] += self._certain
         right[:count] -= self._certain @ beside
