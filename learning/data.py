@@ -75,17 +75,17 @@ class DataConfig:
         patches_in_memory: at most so many patches are kept decoded.
         shadow_rows: rows of the grid that shadows and ambient occlusion are baked on; 0 for
             neither.
-        target: `one` environment for the whole training, around which all inputs and all draws of
-            the rendering loss lie, as published; or `each` set of a scan has its own.
+        target: `one` environment for the whole training, near which all inputs and all draws of
+            the rendering loss are, as published; or `each` set of a scan has its own.
         shadow_sets: sets of light positions per scan around the one target, or targets per scan.
         specular_frame: specular normals are in the shape's `tangent` space, as published, or
             in the axes of the `head`.
-        relative: tell colours against the lit texture's mean and normals against the shape's
-            (see learning.encoding); the published networks do not.
+        relative: encode colours relative to the lit texture's mean and normals relative to the
+            shape's (see learning.encoding); the published networks do not.
         whole: show the whole texture, shrunk to the patch's size, and train on its albedo, as
             published; else these six channels stay empty.
-        detail_px: standard deviation of the blur against which the texture's contrast is told to
-            go around the network; 0 for none, as published.
+        detail_px: standard deviation of the blur relative to which the texture's contrast
+            bypasses the network; 0 for none, as published.
     """
 
     patch_px: int = 512

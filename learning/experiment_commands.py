@@ -26,7 +26,7 @@ def experiment(
         ),
     ],
     out: Annotated[
-        Path, output_folder("--out", help="Folder of the experiment; the same call goes on in it.")
+        Path, output_folder("--out", help="Folder of the experiment; the same call resumes it.")
     ],
     data: Annotated[
         Path | None,
@@ -50,7 +50,7 @@ def experiment(
     ] = "auto",
     stop_after: Annotated[
         float | None,
-        typer.Option(help="Seconds after which runs save and stop; the same call goes on."),
+        typer.Option(help="Seconds after which runs save and stop; the same call resumes them."),
     ] = None,
     scheduler: Annotated[
         str | None,

@@ -54,7 +54,7 @@ class Forward(Generic[OutputT]):
         self._must = config.compile == "on"
 
     def __call__(self, inputs: Tensor) -> OutputT:
-        """What the network says.
+        """The network's output.
 
         Raises:
             TrainingError: it was to be compiled, and cannot be.

@@ -183,7 +183,7 @@ def finish_maps(found: Reflectance, spread: Tensor, given: Prepared) -> Inferred
     """Maps as they are written.
 
     Args:
-        found: what the networks say of the whole texture.
+        found: the networks' answer for the whole texture.
         spread: (1, rows, columns) standard deviation of the albedo between tiles.
         given: what they were given.
     """

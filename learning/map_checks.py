@@ -1,4 +1,4 @@
-"""What maps are looked through for before they are rendered: refused, mended, or said."""
+"""Checks of maps before they are rendered: faults are refused, mended, or warned of."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ class Processes:
         return float(own) / mean if mean > 0 else 1.0
 
     def of_first(self, value: float) -> float:
-        """What the first process says."""
+        """The first process's value."""
         if self.count == 1:
             return value
         number = torch.tensor(value, dtype=torch.float64)
@@ -168,7 +168,7 @@ def joined(processes: Processes, device: torch.device) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _reported_once() -> Iterator[None]:
-    """Tell that another process is gone as one error; where a signal ended it, as that signal."""
+    """Report that another process is gone as one error; where a signal ended it, as that signal."""
     try:
         yield
     except (RuntimeError, ValueError) as error:
@@ -181,7 +181,7 @@ def _reported_once() -> Iterator[None]:
             "processes",
             found=f"another process that does not answer ({message})",
             expected="all processes of the training, to its end",
-            hint="The one that ended first says why. Go on from the last checkpoint with --resume.",
+            hint="The first one that ended reports why. --resume continues the training.",
         ) from None
 
 

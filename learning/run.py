@@ -40,8 +40,7 @@ BEFORE = {"shading": "physical", "ema": 0.0, "steps": None}
 BEFORE_DATA = {"whole": True}
 """The same of the table `data`."""
 FREE = ("seconds", "precision", "compile", "save_seconds", "log_steps")
-"""How long to go on, how fast on the device at hand, and what is written on the way, are new
-decisions each time."""
+"""Configuration that may differ when a run is resumed: how long, how fast, and what is written."""
 MOST_NAMED = 4
 """Values that differ from those a run began with, at most, that a message names."""
 
@@ -56,7 +55,7 @@ class Learner(Protocol):
         """Take step `number` of a training of which the share `done` (0..1) is past; the losses.
 
         All randomness follows from the seed and `number`, so that a training that was interrupted
-        goes on as if it had not been.
+        continues as if it had not been.
         """
 
     def batch(self, number: int) -> dict[str, Tensor]:
@@ -302,15 +301,15 @@ def begin(
     processes: Processes = ALONE,
     shadows: Path | None = None,
 ) -> Run:
-    """Begin a run in a folder, or go on with the one that is there.
+    """Begin a run in a folder, or resume the one that is there.
 
     Args:
         out: the folder.
         config: of the training.
         store: the data.
         held_out: people who are not trained on.
-        resume: go on.
-        load: takes over the state of the checkpoint that is gone on with.
+        resume: continue the run that is there.
+        load: takes over the state of the checkpoint that is resumed.
         processes: that train together.
         shadows: folder of baked shadows that trainings share; None where each bakes its own.
 
@@ -325,7 +324,7 @@ def begin(
                 out,
                 found="no run",
                 expected=f"a run with its {INDEX}",
-                hint="Leave --resume out to begin one, or name the --out of the run to go on with.",
+                hint="Leave --resume out to begin one, or name the --out of the run to resume.",
             )
         checkpoint = read_checkpoint(out)
         _check_same(checkpoint, config, store)
@@ -334,7 +333,7 @@ def begin(
         if processes.first:
             _drop_half_line(out / METRICS)
     elif processes.first or (out / INDEX).exists():
-        require_new(out, "Go on with --resume, or choose another --out.")
+        require_new(out, "Resume it with --resume, or choose another --out.")
     about = {
         "family": config.family,
         "config": as_dict(config),
@@ -347,7 +346,7 @@ def begin(
 
 
 def not_better(score: Scored) -> str:
-    """What to tell of a network that plain guesses are as good as; empty where none is."""
+    """A warning where plain guesses are as good as the network; empty where they are not."""
     better = {name: db for name, db in score.guesses().items() if db >= score.psnr_db}
     if not better:
         return ""
@@ -421,7 +420,7 @@ def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
             where,
             field="family",
             found=f"{checkpoint.family}, as the run began",
-            expected=f"{config.family}, the preset's that was asked for",
+            expected=f"{config.family}, the given preset's",
             hint="Resume with the --preset that the run began with, or choose another --out.",
         )
     wanted = parse_json(json.dumps(as_dict(config)), "configuration")

@@ -1,4 +1,4 @@
-"""RUN/samples.html: what a network makes of people held out, to be looked at beside the truth.
+"""RUN/samples.html: what a network makes of people held out, shown beside the truth.
 
 One file without script or network, pictures inside it. It shows faces: it is its owner's alone.
 """

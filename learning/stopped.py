@@ -1,4 +1,4 @@
-"""Last words of an interrupted training: the step that is kept, and how to go on."""
+"""The message of an interrupted training: the step that is kept, and how to resume."""
 
 from __future__ import annotations
 

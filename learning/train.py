@@ -52,13 +52,13 @@ def train(
     """Train, score on the people held out, leave a checkpoint and metrics.jsonl in `out`.
 
     Every step draws its randomness from the seed and its own number, so a training that was
-    interrupted and resumed goes on as if it had not been. Interrupting saves a checkpoint first.
+    interrupted and resumed continues as if it had not been. Interrupting saves a checkpoint first.
 
     Args:
         store: the data.
         out: the run's folder.
-        config: everything else; its class says which family.
-        resume: go on from the checkpoint in `out`.
+        config: everything else; its class decides the family.
+        resume: continue from the checkpoint in `out`.
         progress: called with steps, or seconds where the time is given.
         device: where the networks run; what they are fed with is made on the processor.
         processes: that train together, of which this is one. The batch is that of all of them.

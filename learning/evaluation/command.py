@@ -88,7 +88,7 @@ def evaluate_command(
         truth: processed folders or their atlases, one for each, or one for all of them: then the
             folders are of one person, and how far they agree is measured too.
         label: whose truth it is, of `LABELS`.
-        out: JSON to write; a table of the same name with .md stands beside it.
+        out: JSON to write; a table of the same name with .md is written beside it.
         progress: of the people.
         recognise: by which identity is measured; it is not without one.
 

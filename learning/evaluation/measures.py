@@ -90,7 +90,7 @@ def ssim(found: np.ndarray, true: np.ndarray, where: np.ndarray) -> float:
         where: (rows, columns) bool.
 
     Returns:
-        The mean over texels and channels; NaN where no window lies within `where`.
+        The mean over texels and channels; NaN where no window is within `where`.
     """
     side = 2 * SSIM_REACH + 1
     whole = np.ones((side, side), np.uint8)

@@ -11,7 +11,7 @@ from processing.colour import srgb_from_linear
 
 MIDDLE_MM = np.array([0.0, -15.0, 75.0])
 HEIGHT_MM = 187.0
-"""Middle and height of the picture in the head frame: eyes and mouth of the template lie where the
+"""Middle and height of the picture in the head frame: eyes and mouth of the template are where the
 aligned pictures of [Deng2019] have them, at .46 and .82 of the height."""
 DISTANCE_MM = 1100.0
 BACKGROUND = 0.2

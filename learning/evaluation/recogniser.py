@@ -27,7 +27,7 @@ LEAST_NUMBERS = 2
 
 @dataclasses.dataclass(frozen=True)
 class RecogniserRequest:
-    """What the user says of a recogniser.
+    """What the user states of a recogniser.
 
     Attributes:
         path: of the .onnx.
@@ -103,7 +103,7 @@ class Recogniser:
                 if found.size < LEAST_NUMBERS
                 else f"{wrong} numbers",
                 expected=f"at least {LEAST_NUMBERS} finite numbers that are not all zero",
-                hint="--recogniser-range says what black and white are to the network.",
+                hint="--recogniser-range gives the network's numbers of black and white.",
             )
         return found / length
 

@@ -41,7 +41,7 @@ RUNS = "runs"
 OWN = (ABOUT, RUNS, SHADOWS, "report.*", "*.svg", "albedo.png", "full-size.json", ".*")
 """What an experiment's folder holds."""
 MAY_GROW = ("seeds",)
-"""What a later call may ask for otherwise: runs that are there stay what they are."""
+"""Configuration that a later call may change: it does not change runs that exist."""
 MOST_JOBS = 256
 REPORT_EVERY_S = 30.0
 WRITING_S = 20.0
@@ -50,12 +50,12 @@ WRITING_S = 20.0
 
 @dataclasses.dataclass(frozen=True)
 class ExperimentRequest:
-    """What `experiment` is asked for.
+    """The options of `experiment`.
 
     Attributes:
         name: of `EXPERIMENTS`.
         out: folder.
-        data: store; None where only a report is asked for.
+        data: store; None where only a report is wanted.
         size: of `config.SIZES`.
         config: TOML that overrides the size.
         seeds: in place of the size's.
@@ -88,14 +88,14 @@ class ExperimentRequest:
 
 
 def experiment_command(
-    request: ExperimentRequest, progress: ProgressCallback, tell: Callable[[str], None]
+    request: ExperimentRequest, progress: ProgressCallback, report: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Do an experiment, or go on with it; returns the facts.
+    """Do an experiment, or resume it; returns the facts.
 
     Args:
-        request: what is asked for.
+        request: the options.
         progress: of the runs.
-        tell: takes sentences for whoever waits, such as how long is left.
+        report: takes sentences for whoever waits, such as how long is left.
 
     Raises:
         LightstageError: bad input; nothing is written then. Runs that failed, in one message, once
@@ -121,7 +121,7 @@ def experiment_command(
     ended: list[str] = []
     if request.prepare:
         return _prepared(left, progress, began)
-    tell(left_line(orders, left, request.jobs, config))
+    report(left_line(orders, left, request.jobs, config))
     reported = time.monotonic()
 
     def one_ended(order: Order, figures: dict[str, Any]) -> None:
@@ -131,11 +131,11 @@ def experiment_command(
             progress(len(ended), len(left))
         if time.monotonic() - reported > REPORT_EVERY_S:
             _write(request, orders[0].runs, experiment, config, notes)
-            tell(left_line(orders, [o for o in orders if not o.finished], request.jobs, config))
+            report(left_line(orders, [o for o in orders if not o.finished], request.jobs, config))
             reported = time.monotonic()
 
     if device.type == "cuda" and request.name == "ladder":
-        tell(measure_full_size(request.out, device, store))
+        report(measure_full_size(request.out, device, store))
     failed = run_all(left, request.jobs, request.scheduler, one_ended, one_run)
     _write(request, orders[0].runs, experiment, config, notes)
     if failed:
@@ -171,7 +171,7 @@ def left_line(orders: list[Order], left: list[Order], jobs: int, config: Experim
 
 
 def time_words(seconds: float) -> str:
-    """Seconds as a person says them."""
+    """Seconds in words, with a unit that suits them."""
     if seconds < 120:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} hours"
@@ -235,7 +235,7 @@ def _chosen(request: ExperimentRequest, experiment: Experiment) -> Experiment:
 
 
 def _possible(experiment: Experiment, halves: Halves) -> tuple[Experiment, list[str]]:
-    """The experiment without settings that the store has too few people for, and what to say."""
+    """The experiment without settings that need more people than the store has, and notes."""
     count = len(halves.trained)
     whole = tuple(v for v in experiment.variants if v.people <= count)
     left_out = [v.title for v in experiment.variants if v.people > count]

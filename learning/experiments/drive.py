@@ -1,7 +1,7 @@
 """Many runs, several at once: in processes of this machine, or on the workers of a Dask scheduler.
 
 Each run is one task, whose folder says whether it is finished. Nothing else is remembered, so
-that a call which was killed, or which ran out of time, is taken up by the next one.
+that a call which was killed, or which ran out of time, is resumed by the next one.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def run_all(
                 "experiment",
                 found="a run's process that was killed",
                 expected="processes that end by themselves",
-                hint="Does the memory hold so many --jobs? The same call goes on.",
+                hint="Does the memory hold so many --jobs? The same call resumes the runs.",
             ) from None
     return failed
 

@@ -40,7 +40,7 @@ REPORT, FACTS, SHEET = "report.md", "report.json", "albedo.png"
 PAPER = "paper (another data set, another size)"
 NOT_DISTINGUISHED = "not distinguished"
 LEAST_SEEDS, LEAST_PEOPLE = 3, 5
-"""Below these a report says that its intervals are too narrow."""
+"""Below these a report warns that its intervals are too narrow."""
 WANTED_GAIN = 0.3
 """By which the last published step is to be below the first."""
 NAMES = {
@@ -128,10 +128,10 @@ def write_report(
         runs: folder of the runs of one version of the code.
         experiment: the settings.
         config: its size.
-        notes: what else to say, a sentence each.
+        notes: further sentences.
 
     Returns:
-        What report.json says.
+        The content of report.json.
     """
     lines = [f"# {experiment.title}", ""]
     facts: dict[str, Any] = {"schema": SCHEMA, "title": experiment.title, "budgets": {}}
@@ -224,7 +224,7 @@ def _too_few(seeds: int, people: int) -> list[str]:
     if seeds < LEAST_SEEDS:
         sentences.append(
             f"{counted(seeds, 'seed')}: the intervals hardly include what another seed would give, "
-            "so that a difference which they tell from zero may be the seed's."
+            "so that a difference which they distinguish from zero may be the seed's."
         )
     if people < LEAST_PEOPLE:
         named = counted(people, "person", "people")
@@ -233,7 +233,7 @@ def _too_few(seeds: int, people: int) -> list[str]:
 
 
 def _sentences(budget: str, settings: list[Setting]) -> list[str]:
-    """What a reader of the paper asks first, in words."""
+    """The results that a reader of the paper looks for first, in words."""
     by_name = {setting.variant.name: setting for setting in settings}
     sentences = []
     first, last = by_name.get("four"), by_name.get(LAST_PUBLISHED)

@@ -6,7 +6,7 @@
     RUN/figures.json   what came of it; a run that has it is finished
     RUN/LIGHT.png      of the first seed: texture, albedo found, true albedo
 
-A run that was stopped goes on from its training's last checkpoint.
+A run that was stopped is resumed from its training's last checkpoint.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def run_name(variant: str, budget: str, seed: int) -> str:
 
 
 def one_run(order: Order) -> dict[str, Any]:
-    """Do a run, or go on with it; returns its figures, or that it was stopped.
+    """Do a run, or resume it; returns its figures, or that it was stopped.
 
     Raises:
         LightstageError: bad data, a device that is missing or full.
@@ -337,7 +337,7 @@ def _write_picture(folder: Path, found: Measured, true: np.ndarray) -> None:
 
 
 def _tidy(order: Order) -> None:
-    """Keep the training's curves, and its weights where they are asked for."""
+    """Keep the training's curves, and its weights where the order keeps them."""
     training = order.folder / TRAINING
     if (training / METRICS).exists():
         shutil.copyfile(training / METRICS, order.folder / METRICS)

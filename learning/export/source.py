@@ -61,7 +61,7 @@ class Source:
 
     @property
     def covered(self) -> np.ndarray:
-        """(rows, columns) bool, where the mesh lies."""
+        """(rows, columns) bool, where the mesh is."""
         return self.raster.face >= 0
 
     def spread(self, image: np.ndarray) -> np.ndarray:
@@ -99,14 +99,14 @@ def maps_folder(given: Path) -> Path:
 
 
 def read_source(given: Path, mesh: Path | None = None, template: Path | None = None) -> Source:
-    """Read a processed folder, or a folder of maps and the mesh that they lie on.
+    """Read a processed folder, or a folder of maps and the mesh that they belong to.
 
     Args:
         given: a processed folder, a fit or an avatar (its atlas is taken), an atlas, or maps of
             `infer`.
         mesh: with the maps' UV, in the axes of their normals; registered_mesh.obj beside the maps
             where None.
-        template: whose exponents tell the roughness where no map does.
+        template: whose exponents give the roughness where no map does.
 
     Raises:
         MapsError: no mesh, one without UV or not in mm; maps that are missing, of other sizes,
@@ -143,7 +143,7 @@ def read_source(given: Path, mesh: Path | None = None, template: Path | None = N
             root = np.sqrt(2 / (cv2.resize(shininess, (columns, rows)) + 2))
             maps["roughness"] = root.astype(np.float16)
     if "roughness" not in maps:
-        notes.append("no map of roughness: one number stands for the whole face")
+        notes.append("no map of roughness: the whole face has one number")
     if not np.any(maps["specular_albedo"]):
         notes.append("specular_albedo is 0 everywhere: nothing shines")
     frames = tangent_frames(shape.vertices, triangles, shape.uvs, corners, normals)
@@ -206,7 +206,7 @@ def _require_same(
     folder: Path,
     where: Path,
 ) -> None:
-    """Refuse maps that were made on another mesh: compared where both tell something."""
+    """Refuse maps that were made on another mesh, by the texels that both have."""
     texels = np.flatnonzero(raster.face.ravel() >= 0)
     texels = texels[:: max(1, len(texels) // CHECKED)]
     triangles = mesh.triangles()

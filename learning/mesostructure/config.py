@@ -18,7 +18,7 @@ class LitPatchesConfig:
         patch_px: side of a patch.
         textures: lit textures that patches are cut from before the first step.
         of_each: patches of each texture; all are held in memory, 1 MB each at 128 texels.
-        min_known: smallest share of a patch that must tell of skin.
+        min_known: smallest share of a patch's texels that must show skin.
         mirrored_share: part of the patches that are mirrored left to right.
         lamp_deg: standard deviation of the error with which a lamp is found, in degrees.
         strength: the same of a light's strength, natural logarithm.

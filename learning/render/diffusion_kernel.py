@@ -1,7 +1,8 @@
 """Compiled steps of the diffusion on a texture's lines: couplings, elimination, sweeps.
 
 A line is a row or a column. LANES lines are solved side by side: a step along a line is then one
-vector operation. Pivots and couplings lie as (B, lines, LANES' groups) need them: line after line.
+vector operation. Pivots and couplings are stored line after line, as (B, lines, LANES' groups) need
+them.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def couple(
         length: (B, H, W) distance of neighbours along the axis.
         along_rows: whether lines are rows; else columns.
         tau: half the variance of one step.
-        limit: neighbours at least this far apart lie on two sides of a seam.
+        limit: neighbours at least this far apart are on two sides of a seam.
         flow: (B, groups, steps, LANES) is filled: tau times what flows to the line's next texel.
         pivots: the same shape, is filled: one over the pivots of Gauss's elimination.
     """

@@ -46,7 +46,7 @@ class RandomLightConfig:
         ambient_share: least and most of that from everywhere.
         tint: standard deviation of the logarithm of each light's red, green and blue.
         ambient_tint: the same of the light from everywhere.
-        behind: how far behind the face lights may stand: the cosine of the angle to straight
+        behind: how far behind the face lights may be: the cosine of the angle to straight
             behind, at most.
         camera_mm: distance of the camera in front of the face.
         position_spread: of the target's distance, at most, for the environments around it.
@@ -138,7 +138,7 @@ def random_environment(
     if ambient_multiplies:
         ambient = 0.0
     share = rng.uniform(0.3, 1.0, len(position_mm))
-    # A face turned half to a light still receives light, so 0.3 stands for the grazing ones: rims
+    # A face turned half to a light still receives light, so grazing ones count as 0.3: rims
     # do not become arbitrarily bright to reach the exposure.
     facing = np.maximum(position_mm[:, 2] / distance, 0.3)
     strength = (exposure - ambient) * share / float((share * facing).sum())
@@ -171,7 +171,7 @@ def around(
         target: a batch of one, or of more where no places are given.
         rng: randomness.
         config: how far.
-        position_mm: (L, 3) where the lights stand, as `moved_lights` drew it before.
+        position_mm: (L, 3) places of the lights, as `moved_lights` drew it before.
     """
 
     def gain(count: tuple[int, ...]) -> Tensor:

@@ -49,7 +49,7 @@ class Shaded(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """Which gradients are asked for: of the normals or the exponent; of the position, the camera
+    """Which gradients are needed: of the normals or the exponent; of the position, the camera
     or the lights' places; of the lights' rgb.
     """
 
@@ -62,7 +62,7 @@ class Gradients(NamedTuple):
     """Gradients with respect to the inputs; all start as zeros.
 
     Attributes:
-        position: (B, 3, n), or (B, 3, 0) where not asked for; so are the next ones.
+        position: (B, 3, n), or (B, 3, 0) where not needed; so are the next ones.
         diffuse_normal: (B, 3, n).
         specular_normal: (B, 3, n).
         shininess: (B, 1, n).
@@ -123,7 +123,7 @@ def start_gradients(
 def write_gradients(
     buf: np.ndarray, texel: np.ndarray, count: int, entry: int, of: Gradients
 ) -> None:
-    """Write the gradients of the maps that are asked for."""
+    """Write the gradients of the maps that are needed."""
     for k in range(3):
         for t in range(count):
             n = texel[t]

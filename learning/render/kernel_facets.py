@@ -1,4 +1,4 @@
-"""The compiled sums of a rough dielectric (see `dielectric`), where no gradient is asked for."""
+"""The compiled sums of a rough dielectric (see `dielectric`), where no gradient is needed."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def forward_facets(
 
     Args:
         skins, lights: as of `kernel_forward.forward`.
-        glossy: (B, n) bool, where the lobe is asked for.
+        glossy: (B, n) bool, where the lobe is needed.
         irradiance: (B, 3, n) is filled; 0 where there is no surface.
         lobes: (B, 3, n) is filled; 0 where not glossy.
     """

@@ -148,7 +148,7 @@ def forward(
     Args:
         skins: the textures.
         lights: one set each.
-        glossy: (B, n) bool, where the lobe is asked for.
+        glossy: (B, n) bool, where the lobe is needed.
         paper: as printed: no clamp, no fall-off, no normalisation, and no ambient light, by which
             the caller multiplies.
         irradiance: (B, 3, n) is filled; 0 where there is no surface.

@@ -1,7 +1,7 @@
 """Blocks of texels for the compiled shading: gathered, normalised, laid out for vectors.
 
 A block holds `TEXELS` texels of the surface; those that show none are left out, so that a loop over
-a block is a loop over skin. All fields of a block lie in one flat array, row after row, at constant
+a block is a loop over skin. All fields of a block are in one flat array, row after row, at constant
 places: the compiler sees that they do not overlap and turns loops over a block into vectors.
 """
 
@@ -146,7 +146,7 @@ def next_texels(valid: np.ndarray, first: int, last: int, texel: np.ndarray) -> 
     A block that is not full repeats its last texel, so that every place can be read.
 
     Returns:
-        How many there are, and where to go on.
+        How many there are, and the index of the next texel.
     """
     count = 0
     while first < last and count < TEXELS:

@@ -29,7 +29,7 @@ class UvRaster:
 
     @property
     def covered(self) -> np.ndarray:
-        """(rows, columns) bool, texels whose centre lies in a triangle."""
+        """(rows, columns) bool, texels whose centre is in a triangle."""
         return self.face >= 0
 
     def interpolate(self, values: np.ndarray) -> np.ndarray:
@@ -100,7 +100,7 @@ def spread_outside(image: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class TexelSurface:
-    """What a position map says of the surface.
+    """Normals and areas of a position map's surface.
 
     Attributes:
         normal: (rows, columns, 3) float32 unit, outward for unmirrored UV; zero outside.
@@ -165,7 +165,7 @@ def _tangent(position: np.ndarray, covered: np.ndarray, axis: int, smooth_px: fl
     length = np.linalg.norm(step, axis=2)
     typical = float(np.median(length[both])) if both.any() else 0.0
     valid = (both & (length < 10 * typical)).astype(np.float32)
-    # A difference lies between two texels; half of it is charged to each.
+    # A difference is between two texels; each gets half of it.
     total = np.zeros((*covered.shape, 4), np.float32)
     packed = np.concatenate([step * valid[..., None], valid[..., None]], axis=2)
     first = [slice(None)] * 3

@@ -38,7 +38,7 @@ FINER = 2
 LARGEST_ROWS = 1536
 """Rows at most at which the shares of detail are fitted: finer ones count as one band."""
 LEAST_ALBEDO = 1e-3
-"""Albedo below which a logarithm says nothing more."""
+"""Albedo below which a logarithm is cut off."""
 
 
 @dataclasses.dataclass(frozen=True)

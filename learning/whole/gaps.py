@@ -1,4 +1,4 @@
-"""What a texture does not tell of a skin: from the texels around, and from the face's other side.
+"""Skin that a texture does not show: from the texels around, and from the face's other side.
 
 A texture over its light shows nothing at the edges of shadows, in the dark and in highlights. Left
 to the skin that people have in common, these places show as blots. Neighbours continue into them
@@ -13,7 +13,7 @@ import numpy as np
 from learning.whole.detail import blurred
 
 FEWEST_TEXELS = 100
-"""Known on both sides, below which one face does not tell how alike its sides are."""
+"""Texels known on both sides, below which a face does not show how alike its sides are."""
 ALIKE = 0.5
 """How alike sides then are taken to be: our people's, ICT's and the scanned head's have 0.35 to
 0.63."""
@@ -35,7 +35,7 @@ def without_gaps(
     Args:
         beside: (rows, columns, 3) what a skin is beside the one that people have in common, natural
             logarithm.
-        known: (rows, columns) bool, where `beside` says something.
+        known: (rows, columns) bool, where `beside` is known.
         covered: (rows, columns) bool, where a surface is.
         sides: whether the texture's columns, in reverse, are the face's other side.
 

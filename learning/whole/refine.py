@@ -1,6 +1,6 @@
 """Refinement of a network's answer through the renderer: light and skin found in turns.
 
-The network says the person's tone; the shape says where each light falls. In turns, the lamps are
+The network gives the person's tone; the shape shows where each light falls. In turns, the lamps are
 found under which the skin gives the texture (`learning.whole.light`), and the skin among those that
 people have (the modes kept beside the network's weights) that gives the texture under these lamps.
 The texture over its own light then shows what the modes do not have.
@@ -241,7 +241,7 @@ class _Followed:
         specular: np.ndarray,
         low_albedo: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(rows, columns, 3) a texture over its light, and where that says something of the skin.
+        """(rows, columns, 3) a texture over its light, and where that shows the skin.
 
         Args:
             texture: (rows, columns, 3) linear.
@@ -292,7 +292,7 @@ def _with_marks(
     Args:
         low_albedo: (h, w, 3) among the skins that people have.
         unlit: (rows, columns, 3) texture over its light.
-        known: (rows, columns) bool, where that says something of the skin.
+        known: (rows, columns) bool, where that shows the skin.
         covered: (rows, columns) bool, where a surface is.
         sides: see `without_gaps`.
     """

@@ -56,7 +56,7 @@ class KnownSkin:
     specular: np.ndarray
 
     def albedo(self, along: np.ndarray) -> np.ndarray:
-        """(n, 3) linear diffuse albedo of a skin that lies (K,) along the directions."""
+        """(n, 3) linear diffuse albedo of the skin that is (K,) along the directions."""
         return np.exp(np.clip(self.mean + self.modes @ along, -7.0, 0.0))
 
 

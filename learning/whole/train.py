@@ -65,7 +65,7 @@ class WholeFaceTrainer(NetworkTrainer[WholeTrainConfig, FaceBatch, WholeFaceNetw
 
 
 def face_losses(network: Callable[[Tensor], WholeFace], batch: FaceBatch) -> dict[str, Tensor]:
-    """Squared errors of what the network says, and how badly it knows its own error.
+    """Squared errors of the network's answer, and how badly it knows its own error.
 
     Returns:
         diffuse: mean square of the sRGB-encoded diffuse albedo's error.
