@@ -200,7 +200,7 @@ def encode_maps(
     Args:
         skin: of the patch.
         whole_albedo: (B, 3, h, w) of the whole texture, shrunk to the patch's size.
-        covered: (B, 13, h, w) of `covered_channels`; where it is 0 the input is 0.
+        covered: (B, 13, h, w) of `covered_channels`; where it is 0 the encoding is 0.
         reference: of the encoding.
     """
     channels = torch.cat(

@@ -40,7 +40,7 @@ COMMANDS = {
     ),
     "calibrate": (
         "lightstage.calibrations.command",
-        "Take calibration shots pose by pose; each is looked at before the next.",
+        "Take calibration shots pose by pose; each is checked before the next.",
     ),
     "calibrations": (
         "lightstage.calibrations.command",

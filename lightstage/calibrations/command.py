@@ -60,7 +60,7 @@ def calibrate_command(
     config: Path | None = ConfigOption,
     as_json: bool = JsonFlag,
 ) -> None:
-    """Take calibration shots pose by pose; each is looked at before the next."""
+    """Take calibration shots pose by pose; each is checked before the next."""
     chosen = kind_of(kind)
     settings = read_config(config, ignore_clock=ignore_clock)
     _require_meaning(kind, resume, poses, every_light)

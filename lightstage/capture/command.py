@@ -288,7 +288,7 @@ def _new_order(
     colour: Path | None,
     config: CaptureConfig,
 ) -> tuple[Rig, Order]:
-    """A new session's rig and order; everything is looked at before a device is opened."""
+    """A new session's rig and order; everything is checked before a device is opened."""
     if rig is None:
         raise ConfigError(
             "--rig",

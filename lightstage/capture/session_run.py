@@ -99,7 +99,7 @@ def capture_session(
         order: what.
         config: how.
         operator: decides, and sees every line of the journal.
-        checks: looks at each photograph; by default as at one of a face.
+        checks: checks each photograph; by default those of a face.
 
     Raises:
         DeviceError: something forbids the capture; no light went on. Or the lights failed.
@@ -134,8 +134,8 @@ def capture_session(
         now = last_run(lines)
         retaken = sum(len(each["takes"]) for each in now if each["event"] == "retake")
         for place, line in enumerate(lines):
-            operator.told(line, old=place < len(lines) - len(now))
-        writer.listeners.append(operator.told)
+            operator.receive(line, old=place < len(lines) - len(now))
+        writer.listeners.append(operator.receive)
         followed.enter_context(serve_events(writer, operator.request))
         run: Run | None = None
         operator.at_abort(stage.lights.dark)

@@ -119,7 +119,7 @@ def check_session(
         findings += checks.shot(pattern)
     problems += _overexposed(session, clipped)
     accepted: Accepted = {}
-    with contextlib.suppress(LightstageError):  # of a broken journal is told above
+    with contextlib.suppress(LightstageError):  # a broken journal is reported above
         accepted = accepted_findings(read_journal(root / JOURNAL)) if has_journal else {}
     worst, sums, unlike = _compare_sums(session, means, accepted)
     problems += unlike
@@ -176,7 +176,7 @@ def _doubled(session: Session) -> list[LightstageError]:
                     field="sha256",
                     found=f"the bytes of {first.path}",
                     expected="a photograph of its own",
-                    hint="The camera gave an old picture; take that shot again.",
+                    hint="The camera gave an old picture; retake that shot.",
                 )
             )
     return problems
@@ -260,9 +260,7 @@ def _compare_sums(
         ]
         hint = ""
         if faulty:
-            hint = (
-                f"Its photograph of {' and '.join(faulty)} was accepted with faults: take it again."
-            )
+            hint = f"Its photograph of {' and '.join(faulty)} was accepted with faults: retake it."
         fault = sum_fault(session.root, camera, one, left + short, right + short, hint)
         if fault is not None:
             problems.append(fault)

@@ -115,9 +115,9 @@ class Followed:
             self.view.gone()
 
     def _take_up(self, line: Mapping[str, Any]) -> None:
-        words = self.view.told(line)
+        words = self.view.receive(line)
         event = text_of(line, "event")
-        self._warmth.told(line, self.view.pattern is not None)
+        self._warmth.receive(line, self.view.pattern is not None)
         if event in ("begin", "resume"):
             self._socket, self._still, self._live = "", False, False
         self._socket = text_of(line, "socket") or self._socket

@@ -26,7 +26,7 @@ from lightstage.operator.words import (
     Mark,
     duration,
     merged,
-    said,
+    notice_of,
     text_of,
 )
 from lightstage.session.opening import JOURNAL
@@ -372,7 +372,9 @@ def device_values(state: JobState | None, now_s: float) -> dict[str, Any]:
         problem = text_of(look["error"], "message") or problem
     if not isinstance(look, dict) or "cameras" not in look:
         look = None
-    findings = [] if look is None else [said({**f, "event": "finding"}) for f in look["findings"]]
+    findings = (
+        [] if look is None else [notice_of({**f, "event": "finding"}) for f in look["findings"]]
+    )
     when = when_words(state.ended_s, now_s) if state.ended_s else ""
     return {"state": state, "look": look, "findings": findings, "problem": problem, "when": when}
 

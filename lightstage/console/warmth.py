@@ -48,7 +48,7 @@ class Warmth:
         self._spent: Spent | None = None
         self._limits = SafetyConfig()
 
-    def told(self, line: Mapping[str, Any], lit: bool) -> None:
+    def receive(self, line: Mapping[str, Any], lit: bool) -> None:
         """Take up a line.
 
         Args:

@@ -170,7 +170,7 @@ def _by_journal(root: Path) -> Seen:
     view = View(str(root))
     with JournalTail(root / JOURNAL) as tail:
         for line in tail.read():
-            view.told(line)
+            view.receive(line)
     running = not view.over and answers(root)
     return dataclasses.replace(seen, state="running" if running else "unfinished", kept=view.kept)
 

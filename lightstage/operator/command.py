@@ -78,7 +78,7 @@ def watch_command(
         with JournalTail(session / "journal.jsonl") as tail:
             for line in tail.read():
                 if until is None or line["id"] <= until:
-                    view.told(line)
+                    view.receive(line)
         if until is not None and until > view.last_id:
             raise ConfigError("--until", found=str(until), expected=f"at most {view.last_id}")
         keys = ("retake", "pause", "abort") if view.phase == "running" else view.answers
@@ -169,7 +169,7 @@ def _watch(session: Path, view: View) -> None:
         )
         try:
             for line in follow(session, left.is_set):
-                shown.told(line)
+                shown.receive(line)
             if not left.is_set():  # it was followed to its end, or until its process ended
                 view.gone()
         except KeyboardInterrupt:  # Ctrl-C leaves, as q does

@@ -85,7 +85,7 @@ def stage(
                 to = shlex.quote(f"SESSION/{LANDMARKS}")
                 print(f"Afterwards, for `register`: cp {shlex.quote(str(landmarks))} {to}\n")
             if log.path is not None:
-                print("What goes wrong is told in", log.path)
+                print("What goes wrong is logged in", log.path)
             sys.stdout.flush()
             try:
                 while standing.device.failure is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lightstage.operator.words import said
+from lightstage.operator.words import notice_of
 from lightstage.ways import CONSOLE, PRESSED, READER, TYPED, readers_ways
 
 OPTIONS = ["--leds", "pty:///dev/pts/1?timeout_s=3&attempts=5"]
@@ -42,10 +42,13 @@ def test_the_environment_names_the_reader(value, ways, monkeypatch) -> None:
 
 def test_a_line_of_the_journal_is_worded_for_its_reader() -> None:
     stopped = {"event": "aborted", "why": "the disk is full", "resume_with": OPTIONS}
-    assert said(stopped, "P1", PRESSED).todo == (
+    assert notice_of(stopped, "P1", PRESSED).todo == (
         "Nothing that was kept is lost. Press g on the session's page to resume it."
     )
-    assert "To resume: lightstage capture --resume --out P1" in said(stopped, "P1").todo
+    assert "To resume: lightstage capture --resume --out P1" in notice_of(stopped, "P1").todo
     socket = {"event": "note", "socket": "/run/1"}
-    assert said(socket, "P1").text == "Anyone here can follow with: lightstage watch P1"
-    assert (said(socket, "P1", PRESSED).text, said(socket, "P1", PRESSED).tone) == ("", "quiet")
+    assert notice_of(socket, "P1").text == "Anyone here can follow with: lightstage watch P1"
+    assert (notice_of(socket, "P1", PRESSED).text, notice_of(socket, "P1", PRESSED).tone) == (
+        "",
+        "quiet",
+    )

@@ -112,7 +112,7 @@ def test_a_question_waits_dark_for_the_page(staged, plan) -> None:
         visitor.post("/start")
         root = site.desk.folder / "P1+neutral"
         wait_until(lambda: events_of(root, "asked"), "a question")
-        visitor.shows("/session/P1+neutral/part", "take it again", "WAITING FOR YOU")
+        visitor.shows("/session/P1+neutral/part", "retake it", "WAITING FOR YOU")
         assert stage.device.dark
         devices = visitor.get("/devices/part").text
         assert "news warning" not in devices  # nothing is near its budget
@@ -246,7 +246,7 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         shown = browser.js("document.querySelector('[data-key=r]').innerText.split(' ')[1]")
         browser.press("r")
         browser.wait(
-            f"document.getElementById('message').innerText.includes('{shown} will be taken')"
+            f"document.getElementById('message').innerText.includes('{shown} will be retaken')"
         )
         browser.press("c")
         browser.wait('document.body.innerText.includes("COMPLETE")')

@@ -50,7 +50,7 @@ def test_what_is_driven_is_what_shines_and_the_end_is_manual_and_black():
         with open_leds(server.url(QUICK), 168) as leds:
             assert not leds.acknowledged
             assert leds.hello.light_count == 168
-            assert leds.hello.firmware == "lsserver, 12 x 14, white (does not tell what is lit)"
+            assert leds.hello.firmware == "lsserver, 12 x 14, white (does not report what is lit)"
             assert server.stage.mode == "Demo"  # a look changes nothing
             levels = np.random.default_rng(1).random(168)
             driven = leds.light(levels)

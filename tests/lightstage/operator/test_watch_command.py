@@ -38,7 +38,7 @@ class Writer:
             listener(line)
 
 writer, operator = Writer(Path(sys.argv[1])), Unattended()
-writer.listeners.append(operator.told)
+writer.listeners.append(operator.receive)
 with serve_events(writer, operator.request):
     for raw in sys.stdin:
         line = json.loads(raw)
@@ -299,7 +299,7 @@ def test_a_picture_of_a_question_shows_what_was_asked_and_could_be_answered(
     text = " ".join(html.unescape(re.sub(r"<[^>]*>", " ", path.read_text())).split())
     for part in ("waiting for you", "full by cam1: nothing sharp", "What now?"):
         assert part in text
-    assert "take it again" in text
+    assert "retake it" in text
     assert ("accept as it is" in text) == (code == "blur")
     assert watch(tmp_path, "--picture", path).returncode == 0
     assert "What now?" not in path.read_text().replace("&#160;", " ")
@@ -312,7 +312,7 @@ def test_a_watcher_at_a_terminal_sees_the_picture_and_leaves_by_q(
     running.write(*bare(replay[:60]))
     terminal = terminals("-c", WATCH, "watch", str(tmp_path))
     terminal.wait_for("TAKING")
-    seen = terminal.wait_for("leave (the capture goes on)")
+    seen = terminal.wait_for("leave (the capture continues)")
     running.write({"event": "finding", "severity": "warn", "where": "cam1", "found": "it is dim"})
     terminal.wait_for("it is dim", seen)
     terminal.press("q")

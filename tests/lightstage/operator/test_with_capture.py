@@ -90,7 +90,7 @@ def test_a_failed_camera_is_asked_about_and_taken_again_alone(stage, capture):
     stage.device.on_state = show_and_lose
     terminal, out = capture("--sequence", "full,x+,x-")
     terminal.wait_for("What now?")
-    terminal.wait_for("look at its cable, battery and card")
+    terminal.wait_for("check its cable, battery and card")
     assert "accept as it is" not in terminal.said
     stage.device.on_state = show
     away.rename(gone)
@@ -143,7 +143,7 @@ def test_who_watches_a_capture_that_is_killed_is_told_so_with_the_line_that_goes
     wanted = {"before-the-first-frame": "lit", "in-the-middle": "shot", "in-a-question": "asked"}
     terminal.wait_until(lambda: events(out, wanted[moment]), "it does not come to it")
     if moment != "before-the-first-frame":
-        watcher.wait_for("leave (the capture goes on)")
+        watcher.wait_for("leave (the capture continues)")
     terminal.process.kill()
     later = terminals("-m", "lightstage", "watch", str(out))
     (begin,) = events(out, "begin")
@@ -153,7 +153,7 @@ def test_who_watches_a_capture_that_is_killed_is_told_so_with_the_line_that_goes
         left = "\n".join(each.emulator.history)
         assert "and no capture runs" in left
         assert "\nNO CAPTURE RUNS\n" in left
-        assert "leave (the capture goes on)" not in left
+        assert "leave (the capture continues)" not in left
 
 
 def test_a_log_of_a_capture_has_plain_lines(stage, tmp_path, runtime):

@@ -10,7 +10,7 @@ import pytest
 
 from lightstage.cameras.camera import CardFile
 from lightstage.errors import DeviceError
-from lightstage.operator.words import said
+from lightstage.operator.words import notice_of
 from lightstage.session import (
     SessionWriter,
     arrived,
@@ -247,7 +247,9 @@ def test_photographs_of_other_sessions_on_a_card_are_told_once_a_camera(desk, be
     (other / "journal.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     writer.look_beside()
     reconcile(writer, cameras)
-    words = [str(said(line)) for line in lines_of(writer, "note") if said(line).tone != "quiet"]
+    words = [
+        str(notice_of(line)) for line in lines_of(writer, "note") if notice_of(line).tone != "quiet"
+    ]
     assert words == ["cam0: 5 photographs of other sessions on its card, left alone."]
     assert not list((desk.root / "recovered").rglob("*.DNG"))
     writer.close()
