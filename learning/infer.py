@@ -158,9 +158,9 @@ def infer(
     Args:
         generator: in evaluation mode.
         data: how it was trained.
-        texture: with light in it.
+        texture: (rows, columns, 3) linear, with light in it.
         mesh: with the texture's UV.
-        head_from_mesh: pose.
+        head_from_mesh: (3, 4) pose.
         progress: called with tiles done, twice as many as there are.
         named: names in errors.
 

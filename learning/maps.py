@@ -143,7 +143,7 @@ def skin_maps_from(
 
 
 def typical_texel_mm(area_mm2: np.ndarray) -> float:
-    """Edge of the median texel that shows a surface; 1 where none does."""
+    """Edge, mm, of the median texel of (rows, columns) areas; 1 where all are 0."""
     some = area_mm2[area_mm2 > 0]
     return float(np.sqrt(np.median(some))) if some.size else 1.0
 

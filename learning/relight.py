@@ -83,7 +83,7 @@ def about_y(angle_deg: float) -> np.ndarray:
 
 
 def turned_camera(camera: Camera, angle_deg: float, centre_mm: np.ndarray) -> Camera:
-    """A camera that has gone round the vertical through a point, from +z toward +x."""
+    """A camera turned round the vertical through a (3,) point, mm, from +z toward +x."""
     turn = about_y(angle_deg)
     rotation, translation = camera.cam_from_world[:, :3], camera.cam_from_world[:, 3]
     moved = rotation @ turn.T

@@ -155,7 +155,11 @@ def table(facts: dict[str, Any], means: dict[str, Interval]) -> str:
 
 
 def agreement(albedos: list[np.ndarray]) -> Interval:
-    """PSNR in dB between one person's albedos of several photographs, over pairs; sRGB."""
+    """PSNR in dB between one person's albedos of several photographs, over pairs.
+
+    Args:
+        albedos: (rows, columns, 3) linear each, 0 where nothing was found; compared as sRGB.
+    """
     values = []
     for index, one in enumerate(albedos):
         for other in albedos[:index]:

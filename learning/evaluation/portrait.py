@@ -41,7 +41,12 @@ def portrait(
 
 
 def portrait_camera(head_from_world: np.ndarray, size: tuple[int, int]) -> Camera:
-    """The camera of `portrait`, in the world."""
+    """The camera of `portrait`, in the world.
+
+    Args:
+        head_from_world: (3, 4) pose of the head, mm.
+        size: rows and columns of the picture.
+    """
     from_head = look_at(MIDDLE_MM + np.array([0, 0, DISTANCE_MM]), MIDDLE_MM)
     turn = from_head[:, :3] @ head_from_world[:, :3]
     shift = from_head[:, :3] @ head_from_world[:, 3] + from_head[:, 3]

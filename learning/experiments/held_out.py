@@ -160,6 +160,11 @@ def map_errors(
 
     Diffuse albedo is sRGB-encoded, specular albedo over `SPECULAR_MOST`, and a normal is
     (n + 1) / 2, as a picture of it has it.
+
+    Args:
+        found: (rows, columns[, 3]) maps by the names of `MAPS`.
+        true: the same maps of the truth, of the same shapes.
+        measured: (rows, columns) bool, captured skin.
     """
     squares = {name: (_scaled(name, found[name]) - _scaled(name, true[name])) ** 2 for name in MAPS}
     each = {name: float(square[measured].mean()) for name, square in squares.items()}

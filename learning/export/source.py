@@ -65,7 +65,7 @@ class Source:
         return self.raster.face >= 0
 
     def spread(self, image: np.ndarray) -> np.ndarray:
-        """A map whose texels beside the surface show the nearest one on it."""
+        """A (rows, columns[, 3]) map; texels beside the surface get the nearest one's value."""
         flat = image.reshape(len(self.nearest.ravel()), -1)
         return flat[self.nearest.ravel()].reshape(image.shape)
 

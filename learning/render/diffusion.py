@@ -64,7 +64,7 @@ class Diffusion:
         return out
 
     def spread_in_place(self, planes: np.ndarray) -> None:
-        """As `spread`, of an array."""
+        """As `spread`, of a (B, C, H, W) array, in place."""
         mass = self.mass.numpy()
         for axis, times in _order():
             pivots, flow = self.systems[axis]

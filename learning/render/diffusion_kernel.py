@@ -70,13 +70,13 @@ def couple(
 def eliminate(
     values: np.ndarray, weights: np.ndarray, pivots: np.ndarray, flow: np.ndarray, count: int
 ) -> None:
-    """One implicit step of LANES lines, in place; flat arrays of count * LANES.
+    """One implicit step of LANES lines, in place.
 
     Args:
-        values: densities.
-        weights: mass.
-        pivots: of `couple`.
-        flow: of `couple`.
+        values: (count * LANES,) densities.
+        weights: (count * LANES,) mass.
+        pivots: (count * LANES,) of `couple`.
+        flow: (count * LANES,) of `couple`.
         count: texels of a line.
     """
     for lane in range(LANES):
@@ -104,10 +104,10 @@ def sweep(
     """`times` implicit steps along the lines of (B, C, H, W) densities, in place.
 
     Args:
-        planes: the densities.
+        planes: (B, C, H, W) densities.
         mass: (B, H, W).
         pivots: (B, groups, steps, LANES) of `couple`.
-        flow: the same.
+        flow: (B, groups, steps, LANES) of `couple`.
         along_rows: whether lines are rows.
         times: steps one after the other.
     """

@@ -68,7 +68,7 @@ class RandomLightConfig:
 
 
 def from_light_set(lights: LightSet, camera_mm: np.ndarray) -> Environment:
-    """A light set seen from a point, as a batch of one (float32)."""
+    """A light set seen from a (3,) point, mm, as a batch of one (float32)."""
 
     def batch(values: np.ndarray) -> Tensor:
         return torch.from_numpy(np.asarray(values, np.float32))[None]

@@ -96,6 +96,15 @@ def start_gradients(
 ) -> bool:
     """Start a block: gradients of its sums, the lobe's before it was normalised.
 
+    Args:
+        buf: flat, of `GRADIENT_ROWS` rows of `TEXELS` numbers.
+        texel: (TEXELS,) indices of the block's texels.
+        count: how many of them are there.
+        entry: of the batch.
+        paper: whether the formulas are as printed.
+        lobes: (B, 3, n), what forward filled.
+        gradient: with respect to what forward filled.
+
     Returns:
         Whether the lobe has a gradient.
     """
@@ -123,7 +132,7 @@ def start_gradients(
 def write_gradients(
     buf: np.ndarray, texel: np.ndarray, count: int, entry: int, of: Gradients
 ) -> None:
-    """Write the gradients of the maps that are needed."""
+    """Write the gradients of the maps that are needed; arrays as of `start_gradients`."""
     for k in range(3):
         for t in range(count):
             n = texel[t]

@@ -66,7 +66,7 @@ def smith(cosine: float, steepness: float) -> float:
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
 def prepare_facets(buf: np.ndarray) -> None:
-    """Write what a block's lights share."""
+    """Write what a block's lights share; `buf` and `light` are as of `kernel_forward`."""
     kind = buf.dtype.type
     zero, one, two = kind(0.0), kind(1.0), kind(2.0)
     for t in range(TEXELS):

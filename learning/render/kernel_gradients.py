@@ -4,6 +4,9 @@ With T the way to the light, i = 1 / |T|, a, b, c the cosines at diffuse normal,
 view, r the reach |P|^2 i^2 and h the cosine at the half vector, a light gives
 D = max(a, 0) r seen and S = h^s max(b, 0) r seen. Each function below is one step of the chain rule
 from the gradients of D and S (u and w) back to the block's fields.
+
+A function's `buf` is one block, flat: `GRADIENT_ROWS` rows of `TEXELS` numbers. Its `light` is one
+light, (9,), of `kernel_forward.pack_lights`; its `out` is that light's (7,) gradients.
 """
 
 from __future__ import annotations

@@ -155,7 +155,12 @@ class OcclusionNetwork(nn.Module):
 
 
 def likeness(face: np.ndarray, other: np.ndarray) -> float:
-    """Share, 0..1, of texels with surface that show the same in two rasters (`UvRaster.face`)."""
+    """Share, 0..1, of texels with surface that show the same in two rasters.
+
+    Args:
+        face: (rows, columns) triangles, `UvRaster.face`.
+        other: (rows, columns) of the other raster.
+    """
     covered = (face >= 0) | (other >= 0)
     return float((face == other)[covered].mean()) if covered.any() else 0.0
 

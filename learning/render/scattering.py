@@ -125,7 +125,7 @@ def prepare(fields: Fields, shares: Shares, spread: Spread) -> None:
 
 @numba.njit(parallel=True, cache=True, fastmath=ANY_ORDER, error_model="numpy")
 def combine(u: np.ndarray, spread: Spread, out: np.ndarray) -> None:
-    """Fill S."""
+    """Fill `out`, S (B, 3, H, W), from U (B, 3, H, W)."""
     batch, channels, height, width = u.shape
     root, both = spread
     for line in numba.prange(batch * height):

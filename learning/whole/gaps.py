@@ -72,7 +72,7 @@ def likeness(own: np.ndarray, other: np.ndarray, both: np.ndarray) -> float:
 
     Args:
         own: (rows, columns, 3) of one side.
-        other: of the other, mirrored.
+        other: (rows, columns, 3) of the other, mirrored.
         both: (rows, columns) bool, where both are known.
     """
     if both.sum() < FEWEST_TEXELS:

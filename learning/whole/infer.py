@@ -169,7 +169,7 @@ def infer_whole_face(
 
 
 def in_mesh_axes(light: LightSet, head_from_mesh: np.ndarray) -> LightSet:
-    """A light of the head frame for a mesh in its own axes, whose origin may be another."""
+    """A light of the head frame for a mesh in its own axes, by its (3, 4) pose `head_from_mesh`."""
     rotation, offset_mm = head_from_mesh[:, :3], head_from_mesh[:, 3]
     place = np.linalg.solve(rotation, (light.position_mm - offset_mm).T).T
     # Strength is that at the origin, and falls off with the square of the distance from there.

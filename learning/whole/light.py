@@ -85,7 +85,7 @@ class LitSurface:
         Args:
             lamps_mm: (L, 3).
             shininess: Blinn-Phong's exponent of the lobe.
-            seen: of `seen`, where it is known already.
+            seen: (n, L) of the method `seen`, where it is known already.
         """
         if not len(lamps_mm):
             nothing = np.zeros((len(self._normal), 0))

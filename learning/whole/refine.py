@@ -189,7 +189,14 @@ def _explained(
 def known_skin(
     network: WholeFaceNetwork, answer: Answer, here: np.ndarray, weight: np.ndarray
 ) -> KnownSkin:
-    """The skins that people have: a network's answer, brought to the directions that it keeps."""
+    """The skins that people have: a network's answer, brought to the directions that it keeps.
+
+    Args:
+        network: whose answer it is.
+        answer: for the texture, at the network's size.
+        here: (h, w) bool, texels that are used, n of them.
+        weight: (n,) how much each counts.
+    """
     deviations = network.mode_deviations.numpy().astype(float)
     used = deviations > 1e-3 * deviations.max()
     modes = network.albedo_modes.permute(2, 3, 1, 0).numpy()[here].astype(float)

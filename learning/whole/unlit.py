@@ -32,8 +32,8 @@ def over_light(texture: np.ndarray, irradiance: np.ndarray, shine: np.ndarray) -
 
     Args:
         texture: (rows, columns, 3) linear.
-        irradiance: the same, of diffuse light.
-        shine: the same, what is mirrored.
+        irradiance: (rows, columns, 3) of diffuse light.
+        shine: (rows, columns, 3) what is mirrored.
 
     Returns:
         (rows, columns, 3) float32, `DARKEST` to 1.

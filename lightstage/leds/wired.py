@@ -85,7 +85,7 @@ class WiredLeds(Closing):
         return driven
 
     def rewire(self, addresses: Sequence[LightAddress]) -> None:
-        """From the next light on these addresses count."""
+        """Use these addresses from the next light on."""
         wires = {}
         for name in self._devices:
             places = [i for i, each in enumerate(addresses) if each.controller == name]

@@ -83,7 +83,7 @@ def possible_answers(codes: Iterable[str]) -> tuple[Decision, ...]:
 
 
 def by_rule(findings: Sequence[Finding], retakes_left: int, config: OperatorConfig) -> Decision:
-    """The decision without asking: again while it may, then by the configuration."""
+    """The decision without a question: retake while retakes are left, then as configured."""
     if not any(finding.severity in ("retake", "refuse") for finding in findings):
         return "accept"
     if retakes_left > 0:
