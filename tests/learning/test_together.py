@@ -82,7 +82,7 @@ def found(
     )
 
 
-def test_highlights_tell_the_tone_that_the_network_said_too_dark() -> None:
+def test_highlights_correct_a_tone_that_the_network_found_too_dark() -> None:
     c = case()
     answer = found(c)
     off = np.abs(np.log(c.skin.albedo(answer.along) / c.skin.albedo(c.along)))

@@ -109,7 +109,7 @@ def test_a_network_enlarges_as_its_configuration_says(times: int) -> None:
         assert network(torch.rand(2, 3, 9, 11)).shape == (2, 3, 9 * times, 11 * times)
 
 
-def test_beside_bicubic_an_untrained_network_says_what_opencv_does() -> None:
+def test_beside_bicubic_an_untrained_network_gives_opencvs_result() -> None:
     rng = np.random.default_rng(0)
     image = rng.random((12, 10, 3)).astype(np.float32)
     network = Rcan(dataclasses.replace(SMALL, beside_bicubic=True)).eval()

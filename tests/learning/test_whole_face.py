@@ -121,7 +121,7 @@ def test_what_people_have_in_common_is_their_mean_and_directions_at_right_angles
     assert float(known.deviations[0]) >= float(known.deviations[1])
 
 
-def test_an_untrained_network_says_the_mean_person_of_any_texture(store_path: Path) -> None:
+def test_an_untrained_network_answers_the_mean_person_to_any_texture(store_path: Path) -> None:
     faces = faces_of(store_path)
     network = WholeFaceNetwork(SIZE)
     network.keep(faces.in_common(network.config.modes))
@@ -153,7 +153,7 @@ def test_whatever_the_texture_albedo_lies_between_0_and_1(texture: np.ndarray) -
     assert bool(((said.deviation >= 0.003) & (said.deviation <= 0.5)).all())
 
 
-def test_the_expected_error_changes_nothing_that_is_said(store_path: Path) -> None:
+def test_the_expected_error_does_not_change_the_answer(store_path: Path) -> None:
     batch = faces_of(store_path).draw(2, np.random.default_rng(0))
     network = WholeFaceTrainer(TINY).network
     torch.nn.init.normal_(network.here.weight)

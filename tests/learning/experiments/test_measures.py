@@ -274,7 +274,7 @@ def test_steps_of_a_training_on_patches_go_before_its_epochs() -> None:
     assert config.steps == 7
 
 
-def test_a_step_of_the_published_networks_can_be_measured_and_its_line_is_told_from_it(
+def test_a_step_of_the_published_networks_can_be_measured_and_its_line_follows_from_it(
     store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cpu = torch.device("cpu")

@@ -151,7 +151,7 @@ def test_a_stop_before_the_first_light_is_a_stop(staged, plan) -> None:
         assert not events_of(site.desk.folder / "P1+neutral", "end")
 
 
-def test_a_capture_that_cannot_start_says_why(staged, plan) -> None:
+def test_a_capture_that_cannot_start_gives_the_reason(staged, plan) -> None:
     _, options = staged()
     options.rig.write_text("{}")
     with served(plan, options) as site:
@@ -323,7 +323,7 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
 
 
 @needs_chromium
-def test_a_question_shows_its_photograph_and_says_that_the_camera_is_set_back(
+def test_a_question_shows_its_photograph_and_reports_that_the_camera_is_set_back(
     staged, plan, tmp_path
 ) -> None:
     fault = Fault("wrong-iso", camera="cam1", at=2, value="400")

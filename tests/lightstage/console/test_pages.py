@@ -130,7 +130,7 @@ def test_a_day_can_begin_without_a_plan(tmp_path) -> None:
         assert "start it again with" in visitor.post("/start").text.lower()
 
 
-def test_a_broken_photograph_says_so_and_the_others_are_shown(site, dng) -> None:
+def test_a_broken_photograph_reports_it_and_the_others_are_shown(site, dng) -> None:
     root = write_session(site.desk.folder / "P1+neutral", dng(3000))
     visitor, photo = site.visitor(), "/session/P1+neutral/full/cam0/1"
     path = root / "frames" / "full" / "cam0.dng"
@@ -241,7 +241,7 @@ def test_a_check_of_another_session_leaves_the_reason_of_the_first(site) -> None
     assert '<pre class="problem">' not in page  # nothing is said twice
 
 
-def test_faults_that_were_accepted_are_told_wherever_a_session_is_done(site) -> None:
+def test_faults_that_were_accepted_are_reported_wherever_a_session_is_done(site) -> None:
     end = {"event": "end", "frames": 2, "capture": {"accepted": 1, "accepted_findings": 3}}
     for name, more in (("P1+neutral", end), ("P1+smile", None)):
         root = write_session(site.desk.folder / name)
@@ -258,7 +258,7 @@ def test_faults_that_were_accepted_are_told_wherever_a_session_is_done(site) -> 
     assert "1 pattern accepted with 3 findings" in visitor.get("/sessions").text
 
 
-def test_takes_of_one_expression_are_told_apart(site) -> None:
+def test_takes_of_one_expression_are_distinguished(site) -> None:
     write_session(site.desk.folder / "P1+neutral")
     write_session(site.desk.folder / "P1+neutral+2", created_utc="2031-05-06T11:30:00+00:00")
     write_session(site.desk.folder / "old", created_utc="2031-05-05T11:30:00+00:00")
@@ -303,7 +303,7 @@ def test_a_damaged_session_of_another_expression_keeps_its_person_too(site, plan
     assert "1 session (P1+asleep)" in said
 
 
-def test_a_stage_whose_rig_is_gone_is_told_in_words(tmp_path) -> None:
+def test_a_stage_whose_rig_is_gone_is_reported_in_words(tmp_path) -> None:
     runner = Runner(tmp_path, tmp_path)
     runner.start("devices", "devices", "", ["devices", "--rig", "none.json", "--leds",
                                             "pty:///dev/none", "--json"])  # fmt: skip
@@ -316,7 +316,7 @@ def test_a_stage_whose_rig_is_gone_is_told_in_words(tmp_path) -> None:
     assert values["when"].endswith(" UTC, 2 min ago")
 
 
-def test_a_moment_is_told_with_how_long_ago_it_was() -> None:
+def test_a_moment_is_shown_with_how_long_ago_it_was() -> None:
     assert when_words(0.0, 20.0) == "00:00 UTC, just now"
     assert when_words(0.0, -5.0) == "00:00 UTC, just now"  # a clock that was set back
     assert when_words(3600.0, 3600.0 + 720) == "01:00 UTC, 12 min ago"
@@ -339,7 +339,7 @@ def test_a_check_from_the_page_names_the_pages_keys_and_no_command(site) -> None
     assert "lightstage watch" not in page
 
 
-def test_the_last_session_of_a_plan_says_that_all_is_done(site) -> None:
+def test_the_last_session_of_a_plan_reports_that_all_is_done(site) -> None:
     visitor = site.visitor()
     for subject in ("P1", "P2"):
         for expression in ("neutral", "smile"):

@@ -43,7 +43,7 @@ def test_lights_warm_while_they_are_lit_and_cool_in_the_dark() -> None:
     assert cooler.on_s == pytest.approx(30.0)
 
 
-def test_a_limit_that_is_near_is_said_and_another_capture_begins_cold() -> None:
+def test_a_limit_that_is_near_is_reported_and_another_capture_begins_cold() -> None:
     warmth = Warmth()
     warmth.receive(line(0, "begin", config={"safety": SAFETY}), False)
     warmth.receive(line(0, "lit", levels=[1.0]), True)

@@ -45,7 +45,7 @@ def test_the_rule_comes_from_a_file_and_a_wrong_one_is_refused():
         make_config(OperatorConfig, {"then": "shrug"}, "x.toml")
 
 
-def test_an_abort_darkens_the_lights_before_anybody_who_waits_is_told():
+def test_an_abort_darkens_the_lights_before_anybody_who_waits_is_answered():
     requests, order = Requests(), []
     requests.at_abort(lambda: order.append("dark"))
 

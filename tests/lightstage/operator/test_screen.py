@@ -64,7 +64,7 @@ def test_nine_cameras_their_states_and_the_keys_fit(busy, columns, rows):
 
 
 @pytest.mark.parametrize("columns", [60, 100])
-def test_a_question_says_what_was_found_what_to_do_and_which_keys(busy, columns):
+def test_a_question_states_what_was_found_what_to_do_and_which_keys(busy, columns):
     line = busy.not_taken("y+", "cam8", "no answer within 30 s")
     view = shown(busy.lines)
     text = " ".join(picture(view, Ask([notice_of(line)], ("retake", "abort")), columns))
@@ -209,7 +209,7 @@ def test_what_was_accepted_has_a_sign_of_its_own_and_rare_signs_are_explained_wh
 
 
 @pytest.mark.parametrize(("columns", "said"), [(60, "7 patterns, 1 done"), (56, "1 of 7 done")])
-def test_the_count_above_the_signs_says_of_what(story, columns, said):
+def test_the_count_above_the_signs_states_of_what(story, columns, said):
     journal = story(9)
     journal.begin()
     journal.shoot("full")
@@ -263,7 +263,7 @@ def test_no_color_is_respected(busy, monkeypatch):
     assert all(int(part or 0) < 10 for code in codes for part in code.split(";"))
 
 
-def test_lights_that_do_not_acknowledge_are_said(story):
+def test_lights_that_do_not_acknowledge_are_reported(story):
     journal = story(2)
     journal.begin()
     journal.add("lit", pattern="full", acknowledged=False)
@@ -282,7 +282,7 @@ def test_what_devices_say_is_no_markup_and_no_control_code(story):
     assert "[bold]x[/bold]" in text
 
 
-def test_each_end_is_told(story, replay):
+def test_each_end_is_reported(story, replay):
     journal = story(2)
     assert "being checked" in "\n".join(picture(View("S"), Ask()))
     journal.begin()

@@ -291,7 +291,7 @@ def test_a_client_that_never_reads_does_not_keep_the_end_from_coming(writing):
     deaf.close()
 
 
-def test_a_session_tells_its_socket_in_the_journal(writing):
+def test_a_session_states_its_socket_in_the_journal(writing):
     writing.note("begin")
     with serve_events(writing, accept) as server:
         client = Client(server.path, 0)

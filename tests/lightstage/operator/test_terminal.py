@@ -178,7 +178,7 @@ def test_ctrl_z_and_ctrl_backslash_do_not_leave_the_lights_on(capture):
     assert terminal.end() == 130
 
 
-def test_keys_are_wishes_and_what_makes_no_sense_is_said(capture):
+def test_keys_are_wishes_and_what_makes_no_sense_is_reported(capture):
     terminal, lights = capture(LOOP)
     terminal.wait_for("this pattern again")
     terminal.press("r")

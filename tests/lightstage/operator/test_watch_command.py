@@ -116,7 +116,7 @@ def bare(lines):
     return [{k: v for k, v in line.items() if k not in ("id", "elapsed_s")} for line in lines]
 
 
-def test_a_finished_capture_is_told_from_its_journal(tmp_path, replay, written):
+def test_a_finished_capture_is_distinguished_from_its_journal(tmp_path, replay, written):
     written(tmp_path / "journal.jsonl", replay)
     done = watch(tmp_path, program=("-m", "lightstage"))
     assert done.returncode == 0
@@ -152,7 +152,7 @@ def test_a_running_capture_is_followed_live_to_its_end_and_each_line_comes_once(
     assert len(got) == 4
 
 
-def test_a_capture_that_is_killed_is_told_as_not_over(tmp_path, replay, capturing):
+def test_a_capture_that_is_killed_is_reported_as_not_over(tmp_path, replay, capturing):
     running = capturing()
     running.write(*bare(replay[:30]))
     running.wait(lambda: running.journal.read_bytes().count(b"\n") == 31)
@@ -197,7 +197,7 @@ def test_another_terminal_can_stop_a_capture(tmp_path, replay, capturing):
     running.wait(lambda: "the operator wishes: abort" in running.journal.read_text())
 
 
-def test_nobody_there_is_said(tmp_path, replay, written):
+def test_nobody_there_is_reported(tmp_path, replay, written):
     nothing = watch(tmp_path / "S", "--wait", 0)
     assert nothing.returncode == 2
     assert "no such file, expected the journal of a capture" in nothing.stderr

@@ -133,7 +133,7 @@ def test_others_follow_every_line_and_may_stop_it(stage, capture):
 
 
 @pytest.mark.parametrize("moment", ["before-the-first-frame", "in-the-middle", "in-a-question"])
-def test_who_watches_a_capture_that_is_killed_is_told_so_with_the_line_that_goes_on(
+def test_who_watches_a_capture_that_is_killed_is_reported_with_the_line_that_goes_on(
     stage, capture, terminals, moment
 ):
     if moment == "in-a-question":

@@ -68,7 +68,7 @@ def test_every_severity_state_and_tone_has_words():
 
 
 @pytest.mark.parametrize("severity", ["refuse", "retake", "warn"])
-def test_what_is_wrong_always_says_what_to_do(severity):
+def test_what_is_wrong_always_states_what_to_do(severity):
     line = {"event": "finding", "severity": severity, "where": "cam3", "found": "ISO 400"}
     words = notice_of(line | {"expected": "ISO 100"})
     assert words.todo
@@ -77,13 +77,13 @@ def test_what_is_wrong_always_says_what_to_do(severity):
 
 
 @pytest.mark.parametrize("event", ["failed", "recovered", "aborted"])
-def test_what_went_wrong_says_what_to_do(event):
+def test_what_went_wrong_states_what_to_do(event):
     words = notice_of({"event": event, "said": "no answer", "camera": "cam3"}, "S/1")
     assert words.todo
     assert words.tone in ("warning", "problem", "stop")
 
 
-def test_an_abort_says_how_to_go_on():
+def test_an_abort_states_how_to_go_on():
     words = notice_of({"event": "aborted", "said": "camera cam3 is gone"}, "sessions/P1")
     assert "lightstage capture --resume --out sessions/P1" in words.todo
     assert "camera cam3 is gone" in words.text
@@ -108,7 +108,7 @@ def test_time_left_in_words(seconds, words):
     assert duration(seconds) == words
 
 
-def test_the_same_of_several_cameras_is_said_once():
+def test_the_same_of_several_cameras_is_reported_once():
     lines = [
         {"event": "failed", "pattern": "x+", "camera": camera, "said": f"{camera} is gone"}
         for camera in ("cam1", "cam10", "cam1")
@@ -149,13 +149,13 @@ def test_the_same_of_several_cameras_is_said_once():
         ("x+ by cam0: found a blurred eye (f/2.8)", "x+ by cam0: found a blurred eye (f/2.8)"),
     ],
 )
-def test_a_drivers_codes_ports_and_class_names_are_said_in_plain_words(raw, read):
+def test_a_drivers_codes_ports_and_class_names_are_reported_in_plain_words(raw, read):
     assert plain(raw) == read
     line = {"event": "finding", "severity": "retake", "code": "not-taken", "found": raw}
     assert read in notice_of(line).text
 
 
-def test_why_a_camera_gave_no_photograph_is_said_without_what_stands_beside_it():
+def test_why_a_camera_gave_no_photograph_is_reported_without_what_stands_beside_it():
     why = (
         "camera cam5 (/tmp/cam5), trigger: found error -1 (no picture was taken), expected one. "
         "Try the shot again."
@@ -166,7 +166,7 @@ def test_why_a_camera_gave_no_photograph_is_said_without_what_stands_beside_it()
     assert cause(why, "cam1") == plain(why)
 
 
-def test_a_camera_that_does_not_start_again_is_told_by_why_it_failed_first():
+def test_a_camera_that_does_not_start_again_is_reported_by_why_it_failed_first():
     port = "/tmp/a-stage-with-a-rather-long-name/of-a-lab/cameras/cam7"
     first = (
         f"camera cam7 ({port}), trigger: found error -7 (the camera switched itself off, its "
@@ -204,7 +204,7 @@ def test_control_characters_never_reach_the_terminal():
     st.sampled_from(EVENTS) | st.text(max_size=10),
     st.dictionaries(st.sampled_from(FIELDS), JSON | st.text(max_size=500)),
 )
-def test_any_line_reads_as_one_printable_line_and_can_be_told(event, fields):
+def test_any_line_reads_as_one_printable_line_and_can_be_reported(event, fields):
     line = {**fields, "event": event}
     words = notice_of(line)
     assert str(words).isprintable()

@@ -64,7 +64,7 @@ def test_a_picture_that_is_on_the_card_is_fetched_and_not_taken_again(stage, nam
     ],
     ids=lambda value: value.name if isinstance(value, Fault) else "",
 )
-def test_a_camera_that_cannot_go_on_is_told_with_what_to_do_and_nothing_else_is_lost(
+def test_a_camera_that_cannot_go_on_is_reported_with_what_to_do_and_nothing_else_is_lost(
     stage, fault, message
 ):
     ending = stage.capture(fault)
