@@ -69,21 +69,23 @@ class DataConfig:
 
     Attributes:
         patch_px: side of a patch.
-        stride_px: step from patch to patch.
+        stride_px: step from one patch to the next.
         min_coverage: smallest share of a patch's texels that must be measured.
-        held_out_subjects: people, the last ones by name, who are scored and never trained on.
-        patches_in_memory: at most so many patches are kept decoded.
-        shadow_rows: rows of the grid that shadows and ambient occlusion are baked on; 0 for
+        held_out_subjects: number of people, the last ones by name, who are scored and never trained
+            on.
+        patches_in_memory: number of patches that are kept decoded, at most.
+        shadow_rows: rows of the grid on which shadows and ambient occlusion are baked; 0 for
             neither.
         target: `one` environment for the whole training, near which all inputs and all draws of
             the rendering loss are, as published; or `each` set of a scan has its own.
-        shadow_sets: sets of light positions per scan around the one target, or targets per scan.
+        shadow_sets: number of sets of light positions per scan around the one target, or of targets
+            per scan.
         specular_frame: specular normals are in the shape's `tangent` space, as published, or
             in the axes of the `head`.
-        relative: encode colours relative to the lit texture's mean and normals relative to the
-            shape's (see learning.encoding); the published networks do not.
-        whole: show the whole texture, shrunk to the patch's size, and train on its albedo, as
-            published; else these six channels stay empty.
+        relative: whether colours are encoded relative to the lit texture's mean and normals
+            relative to the shape's (see learning.encoding); the published networks do not.
+        whole: whether the whole texture is shown, shrunk to the patch's size, and its albedo
+            trained on, as published; else these six channels stay empty.
         detail_px: standard deviation of the blur relative to which the texture's contrast
             bypasses the network; 0 for none, as published.
     """

@@ -46,14 +46,15 @@ class FacesConfig:
     """How whole faces are shown to the network.
 
     Attributes:
-        held_out_subjects: people, the last ones by name, who are scored and never trained on.
-        shadow_sets: sets of lights of each scan whose shadows are baked.
+        held_out_subjects: number of people, the last ones by name, who are scored and never trained
+            on.
+        shadow_sets: number of sets of lights of each scan whose shadows are baked.
         white_balance: standard deviation of the logarithm of the photograph's red, green and blue.
         noise: standard deviation of the logarithm of a texel.
-        ggx_share: part of the batches that are shaded with facets and Fresnel's rise (see
+        ggx_share: share of the batches that are shaded with facets and Fresnel's rise (see
             `learning.render.shading`) instead of as the training is configured.
-        partial_share: part of the pairs of which only the side toward some camera is shown.
-        beside_skin: weight of eyes, hair and what was not captured, where skin has 1.
+        partial_share: share of the pairs of which only the side toward some camera is shown.
+        beside_skin: weight of eyes, hair and texels that were not captured, where skin has 1.
     """
 
     held_out_subjects: int = 1
