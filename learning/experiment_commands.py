@@ -90,11 +90,11 @@ def experiment(
         consents,
     )
 
-    def tell(line: str) -> None:
+    def print_line(line: str) -> None:
         print(f"{name}: {line}", file=sys.stderr, flush=True)
 
     with limited_access(group_of([data or out])), progress_bar("experiment") as progress:
-        facts = experiment_command(request, progress, tell)
+        facts = experiment_command(request, progress, print_line)
     if "prepared" in facts:
         line = f"shadows of {facts['prepared']} of {counted(facts['to_prepare'], 'run')} are baked"
     elif "runs" not in facts:

@@ -44,7 +44,7 @@ class Forward(Generic[OutputT]):
             ConfigError: a precision that the device does not have.
         """
         self._network: Callable[[Tensor], Any] = network
-        self._half = half_of(config.precision, device)
+        self._dtype = autocast_dtype(config.precision, device)
         self._device = device
         self._compiled: Callable[[Tensor], Any] | None = None
         # On processors a step of the default networks is 1 % (whole faces, beside channels last)
@@ -61,7 +61,7 @@ class Forward(Generic[OutputT]):
         """
         with self._autocast():
             output = self._called(inputs)
-        found: OutputT = output if self._half is None else _wide(output)
+        found: OutputT = output if self._dtype is None else _to_float32(output)
         return found
 
     def _called(self, inputs: Tensor) -> Any:
@@ -84,12 +84,12 @@ class Forward(Generic[OutputT]):
         return self._network(inputs)
 
     def _autocast(self) -> contextlib.AbstractContextManager[Any]:
-        if self._half is None:
+        if self._dtype is None:
             return contextlib.nullcontext()
-        return torch.autocast(self._device.type, self._half)
+        return torch.autocast(self._device.type, self._dtype)
 
 
-def half_of(precision: Precision, device: torch.device) -> torch.dtype | None:
+def autocast_dtype(precision: Precision, device: torch.device) -> torch.dtype | None:
     """The type of half the width to compute in on a device; None for float32.
 
     Raises:
@@ -107,11 +107,13 @@ def half_of(precision: Precision, device: torch.device) -> torch.dtype | None:
     return torch.bfloat16 if has and precision != "float32" else None
 
 
-def _wide(output: Any) -> Any:
+def _to_float32(output: Any) -> Any:
     """Tensors of half the width as float32, in dataclasses and lists too."""
     if isinstance(output, Tensor):
         return output.float() if output.is_floating_point() else output
     if isinstance(output, list):
-        return [_wide(one) for one in output]
+        return [_to_float32(one) for one in output]
     fields = [field.name for field in dataclasses.fields(output)]
-    return dataclasses.replace(output, **{name: _wide(getattr(output, name)) for name in fields})
+    return dataclasses.replace(
+        output, **{name: _to_float32(getattr(output, name)) for name in fields}
+    )

@@ -20,7 +20,7 @@ from learning.patch_run import patch_task
 from learning.patch_train import PatchTrainer
 from learning.processes import ALONE, Processes
 from learning.run import TrainResult, begin, split
-from learning.training import FedTrainer, Task, Trainer
+from learning.training import BatchLearner, Task, Trainer
 from learning.upscale.config import UpscaleTrainConfig
 from learning.upscale.train import UpscaleTrainer, upscale_task
 from learning.whole.config import WholeTrainConfig
@@ -82,7 +82,7 @@ def train(
     task = task_of(trainer, store, trained_on, held_out, run)
     for network in trainer.networks():
         processes.same_tensors(network.state_dict().values())
-    learner = FedTrainer(trainer, task.draw)
+    learner = BatchLearner(trainer, task.draw)
     with learner.ahead():
         steps = run.steps(learner, task.steps, progress)
     with run.scoring(learner, steps):

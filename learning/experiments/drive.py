@@ -135,12 +135,12 @@ def _begin(parent: int) -> None:
     """Prepare a worker's process: it ends with the command that began it, however that ends."""
     raise_on_signals()
 
-    def look() -> None:
+    def end_with_parent() -> None:
         while os.getppid() == parent:
             time.sleep(LOOK_S)
         os._exit(1)
 
-    threading.Thread(target=look, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 @contextlib.contextmanager

@@ -282,7 +282,7 @@ def _measured(
     order: Order, store: Store, held_out: set[str], device: torch.device
 ) -> dict[str, Any]:
     """Figures on the people held out, in all lights; pictures of the first seed's first person."""
-    ask = _asked(order, order.source / TRAINING, device)
+    infer_maps = _inference_of(order, order.source / TRAINING, device)
     originals = open_store(order.data)
     tones = tones_of(originals, tuple(map(subject_of, held_out)))
     people: list[dict[str, Any]] = []
@@ -291,7 +291,7 @@ def _measured(
     for index, subject in enumerate(subjects):
         if order.over():
             raise KeyboardInterrupt
-        found = measure(subject, _target(order), _lights(order), ask)
+        found = measure(subject, _target(order), _lights(order), infer_maps)
         seconds += [one.seconds for one in found]
         each = {one.light: one.figures for one in found}
         people.append({"name": subject.name, "tone_deg": tones[subject.name], "lights": each})
@@ -305,7 +305,7 @@ def _measured(
     return {"people": people, "infer_seconds": float(np.median(seconds)), **diverged}
 
 
-def _asked(order: Order, run: Path, device: torch.device) -> Infer:
+def _inference_of(order: Order, run: Path, device: torch.device) -> Infer:
     """What the run's network finds of a texture."""
     family = read_checkpoint(run).family
     pose = np.eye(3, 4)

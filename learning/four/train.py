@@ -84,7 +84,7 @@ class FourTrainer(Trainer[FourTrainConfig, Batch]):
             losses |= {f"{part}.{name}": value for name, value in part_losses.items()}
         return {**losses, "error": sum(losses[f"{part}.error"] for part in PARTS)}
 
-    def kept(self, batch: Batch) -> dict[str, Tensor]:
+    def batch_tensors(self, batch: Batch) -> dict[str, Tensor]:
         """See `Trainer`."""
         drawn = pairs(batch)
         kept = {f"{part}.inputs": pair.inputs for part, pair in drawn.items()}

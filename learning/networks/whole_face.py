@@ -134,7 +134,7 @@ class WholeFaceNetwork(nn.Module):
             if layer.bias is not None:
                 nn.init.zeros_(layer.bias)
 
-    def keep(self, people: KnownPeople) -> None:
+    def set_people(self, people: KnownPeople) -> None:
         """Keep what the people trained on have in common."""
         self.mean_log_albedo.copy_(people.log_albedo)
         self.mean_log_specular.copy_(people.log_specular)

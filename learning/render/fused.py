@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from learning.render.kernel_backward import LIGHT_SUMS, Asked, Gradients, Shaded, backward
+from learning.render.kernel_backward import LIGHT_SUMS, Gradients, Needed, Shaded, backward
 from learning.render.kernel_facets import forward_facets
 from learning.render.kernel_forward import forward, pack_lights
 from learning.render.texel_blocks import NEAREST_MM, Lights, Skins, tasks_of
@@ -133,7 +133,7 @@ class FusedLight(torch.autograd.Function):
             np.zeros((batch, tasks, 3), kind),
             np.zeros((batch, tasks, 3), kind),
         )
-        wanted = Asked(
+        wanted = Needed(
             asked.diffuse_normal or asked.specular_normal or asked.shininess,
             asked.position or asked.light_mm or asked.camera,
             asked.rgb,

@@ -48,7 +48,7 @@ class Shaded(NamedTuple):
     lobes: np.ndarray
 
 
-class Asked(NamedTuple):
+class Needed(NamedTuple):
     """Which gradients are needed: of the normals or the exponent; of the position, the camera
     or the lights' places; of the lights' rgb.
     """
@@ -154,7 +154,7 @@ def backward(
     paper: bool,
     lobes: np.ndarray,
     gradient: Shaded,
-    asked: Asked,
+    needed: Needed,
     of: Gradients,
 ) -> None:
     """Gradients of `kernel_forward.forward`.
@@ -165,7 +165,7 @@ def backward(
         paper: as forward.
         lobes: (B, 3, n), what forward filled.
         worth: gradients with respect to what forward filled.
-        asked: what is computed.
+        needed: what is computed.
         of: is filled.
     """
     batch, _, texels = skins.position.shape
@@ -185,7 +185,7 @@ def backward(
             gloss = start_gradients(buf, texel, count, entry, paper, lobes, gradient)
             for j in range(lights.packed.shape[1]):
                 light = lights.packed[entry, j]
-                if black(light) and not asked.colours:
+                if black(light) and not needed.colours:
                     continue
                 by_diffuse, by_specular = toward_light(buf, texel, entry, j, lights)
                 if not (by_diffuse or (gloss and by_specular) or paper):
@@ -193,11 +193,11 @@ def backward(
                 diffuse_gradient(buf, light, paper)
                 if gloss and (by_specular or paper):
                     specular_gradient(buf, light, paper)
-                if asked.normals:
+                if needed.normals:
                     normal_gradient(buf, light)
-                if asked.places:
+                if needed.places:
                     place_gradient(buf, light, paper, sums[j])
-                if asked.colours:
+                if needed.colours:
                     colour_gradient(buf, sums[j])
                 if of_seen.shape[2]:
                     for t in range(count):

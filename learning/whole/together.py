@@ -119,7 +119,7 @@ def explain(
     )
     values = problem.start()
     for _ in range(ROUNDS):
-        problem.look(values)
+        problem.set_outlier_scale(values)
         values, cost, normal = _descended(problem, values)
     return problem.answer(values, np.linalg.inv(normal), cost)
 
@@ -182,7 +182,7 @@ class _Problem:
             cost,
         )
 
-    def look(self, values: np.ndarray) -> None:
+    def set_outlier_scale(self, values: np.ndarray) -> None:
         """Measure from where on a texel counts as far off."""
         along, strength, gloss = self._parts(values)
         rgb = np.exp(strength)

@@ -109,7 +109,7 @@ def face_task(
     whole = dataclasses.replace(config.faces, partial_share=0.0)
     scored = faces_of(held_out, whole, config.augment.as_they_are())
     if not run.first:
-        trainer.network.keep(faces.in_common(config.network.modes))
+        trainer.network.set_people(faces.in_common(config.network.modes))
 
     def finish() -> tuple[FaceScore, list[Sample]]:
         trained = trainer.trained

@@ -115,7 +115,7 @@ def test_the_normal_equations_hold_the_slope_of_the_cost() -> None:
 def test_a_plain_solver_of_the_same_cost_finds_the_same_answer() -> None:
     c = case(5)
     problem = _Problem(c.texture, np.ones(TEXELS), c.irradiance, c.lobe, c.skin, c.begin)
-    problem.look(problem.start() - 0.1)
+    problem.set_outlier_scale(problem.start() - 0.1)
     far = problem._far
     values, cost, normal = _descended(problem, problem.start())
     answer = problem.answer(values, np.linalg.inv(normal), cost)
