@@ -15,7 +15,7 @@ from benchmarks.record import record
 from learning.export.command import export_command
 from lightstage.commands import quiet
 from lightstage.formats.processed import ProcessedFolder
-from tests.browser import Browser
+from sim.browser import Browser
 
 SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 SIZES = ((640, 480), (1280, 900))

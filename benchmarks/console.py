@@ -72,7 +72,7 @@ class Visitor:
         """Press a button."""
         body = urllib.parse.urlencode({"csrf": self._csrf, **fields})
         origin = f"http://{self._host}:{self._port}"
-        headers = {"Origin": origin, "HX-Request": "true", "HX-Target": "said"}
+        headers = {"Origin": origin, "HX-Request": "true", "HX-Target": "message"}
         return self._ask("POST", path, headers, body)[0].decode()
 
     def events(self, path: str, stop: threading.Event) -> Iterator[dict[str, Any]]:

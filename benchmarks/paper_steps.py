@@ -74,7 +74,7 @@ def measured(
     from learning.presets import preset
     from learning.run import split
     from learning.train import TRAINERS
-    from learning.training import FedTrainer
+    from learning.training import BatchLearner
     from processing.dataset import open_store
 
     config = preset(name, FULL if full else REDUCED, "benchmark")
@@ -88,7 +88,7 @@ def measured(
     device = choose_device(device_name)
     trainer: Any = TRAINERS[config.family][0](config, device)
     parts = trainer.trainers.values() if isinstance(trainer, FourTrainer) else [trainer]
-    learner, networks = FedTrainer(trainer, data.draw), [part.generator for part in parts]
+    learner, networks = BatchLearner(trainer, data.draw), [part.generator for part in parts]
     seconds, lines = [], []
     on_gpu = device.type == "cuda"
     # On processors with other work the clock measures that work too.

@@ -128,7 +128,7 @@ def scanned(times: int) -> Picture | None:
     """The scanned head's texture, its face as skin; None where it is not at hand."""
     import torch
 
-    from learning.upscale.data import Picture, lowered
+    from learning.upscale.data import Picture, downsampled
 
     data = Path(os.environ.get("LIGHTSTAGE_DATA", "../shared/data"))
     image = cv2.imread(str(data / "lps_head" / "Map-COL.jpg"))
@@ -138,7 +138,7 @@ def scanned(times: int) -> Picture | None:
     high = torch.from_numpy(rgb)
     face = np.zeros(image.shape[:2], bool)
     face[SCAN_FACE] = True
-    low = lowered(high[None], times)[0]
+    low = downsampled(high[None], times)[0]
     return Picture(high.half(), low, face, torch.empty((0, 2), dtype=torch.long))
 
 

@@ -69,7 +69,7 @@ def stage_section(demo: Demo) -> Section:
     return Section(
         "The stage and its photographs",
         [
-            f"{len(session.rig.lights)} lamps on a sphere of 2.5 m look at a head in its middle, "
+            f"{len(session.rig.lights)} lamps on a sphere of 2.5 m face a head in its middle, "
             f"and so do {len(cameras)} cameras. Each light pattern is photographed by all cameras. "
             "In this demo stage and head are simulated; every photograph is a RAW file that came "
             "through the same drivers, and the same checks, as one from a real camera.",

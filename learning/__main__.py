@@ -43,7 +43,7 @@ LightsOption = Annotated[
         help="Light set (lightstage.environment/1), or .exr or .hdr picture of light all round."
     ),
 ]
-CountOption = Annotated[int, typer.Option(help="Lights that stand for a picture of light.")]
+CountOption = Annotated[int, typer.Option(help="Number of lights that replace a picture of light.")]
 RotateOption = Annotated[float, typer.Option(help="Turn the light about +y, degrees.")]
 ShadowsOption = Annotated[
     str,
@@ -204,7 +204,7 @@ def occlusion(
 ) -> None:
     """Bake a template's cast shadows into a table that needs no rays, or train a network of them.
 
-    The last line says how wrong table and network are under lights that were not baked, beside
+    The last line gives the errors of table and network under lights that were not baked, beside
     rays, and how long each takes.
     """
     from learning.occlusion_command import occlusion_command

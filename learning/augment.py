@@ -21,11 +21,11 @@ class AugmentConfig:
 
     Attributes:
         melanin: standard deviation of the added absorbance (natural logarithm, at 550 nm).
-        haemoglobin: the same of blood's.
+        haemoglobin: standard deviation of the added absorbance of blood (natural logarithm).
         pattern: of melanin and of blood that differ from place to place of a face, as the share
             of `melanin` and `haemoglobin`.
-        shininess: smallest and largest exponent.
-        translucency: smallest and largest.
+        shininess: smallest and largest exponent of the lobe.
+        translucency: smallest and largest translucency.
     """
 
     melanin: float = 0.3

@@ -155,7 +155,7 @@ def _detailed(source: Path, out: Path, progress: ProgressCallback) -> bool:
 def _exported(
     source: Path, request: FitRequest, formats: str, progress: ProgressCallback
 ) -> list[str]:
-    """Make OUT/export; what to say of it."""
+    """Make OUT/export; returns notes for the user."""
     facts = export_command(
         source,
         None,
@@ -196,7 +196,7 @@ def _maps_inputs(maps: Path, template: Path) -> list[Any]:
 
 
 def _facts_of(maps: Path) -> dict[str, Any]:
-    """What `fit.json` says of a fit, of a captured head."""
+    """The fields of `fit.json` for a captured head."""
     albedo = read_half_exr(maps_folder(maps) / "diffuse_albedo.exr")
     return {"rows": albedo.shape[0], "columns": albedo.shape[1], "lamps": None, "notes": []}
 

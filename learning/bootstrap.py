@@ -29,7 +29,7 @@ class Interval:
 def interval(values: np.ndarray | list[float]) -> Interval:
     """Mean over seeds and people, both drawn with replacement, each by itself.
 
-    One seed is drawn always, and so is one person: then the interval says nothing of others.
+    One seed is drawn always, and so is one person: then the interval does not describe others.
 
     Args:
         values: (people,), or (seeds, people); NaN where one has no figure.

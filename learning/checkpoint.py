@@ -4,7 +4,7 @@
     RUN/generator-STEP.safetensors (a whole face's network: network-STEP; four: generators-STEP)
     RUN/average-STEP.safetensors   the same networks with their weights' moving average, where there
                                    is one: it is scored and inferred with
-    RUN/training-STEP.safetensors  discriminators and optimisers, to go on from
+    RUN/training-STEP.safetensors  discriminators and optimisers, to resume from
 
 The JSON is renamed into place last, so a run always has one whole checkpoint.
 """
@@ -45,10 +45,10 @@ AVERAGE = "average"
 
 @dataclasses.dataclass(frozen=True)
 class Checkpoint:
-    """What checkpoint.json says.
+    """The content of checkpoint.json.
 
     Attributes:
-        folder: where its files lie.
+        folder: of its files.
         family: of networks: `patches`, `four_networks`, `whole_face`, `super_resolution`,
             `mesostructure` or `occlusion`.
         step: training steps done.
@@ -118,7 +118,7 @@ def save_tensors(path: Path, named: dict[str, Tensor]) -> Path:
     """Write tensors by their names, wherever they are; returns `path`."""
     with atomic_path(path) as beside:
         save_file({n: value.detach().cpu().contiguous() for n, value in named.items()}, beside)
-        # safetensors makes its files the owner's alone, whatever the user's umask says.
+        # safetensors makes its files the owner's alone, whatever the user's umask is.
         beside.chmod(0o666 & ~_umask())
     return path
 
@@ -156,7 +156,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
             int(value["texture_rows"]),
             str(value["code_version"]),
             {str(name): float(number) for name, number in value["metrics"].items()},
-            float(value.get("step_seconds", 0.0)),  # older ones do not say
+            float(value.get("step_seconds", 0.0)),  # older ones lack it
             {
                 role: {
                     "name": check_name(f["name"], index, f"files.{role}.name", CheckpointError),

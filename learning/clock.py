@@ -16,8 +16,8 @@ the backward pass of a rendering loss too; what a step waits for its batch, whoe
 class Clock:
     """Seconds by part; a part within another one counts as the inner one alone.
 
-    A step is a `NETWORK` part. Threads may share a clock. A GPU works on while a part ends: what it
-    is asked for in one part can count in the next that waits for it, which is the network's.
+    A step is a `NETWORK` part. Threads may share a clock. A GPU works on while a part ends: work
+    that one part starts can count in the next part, which waits for it, which is the network's.
     """
 
     def __init__(self) -> None:

@@ -68,7 +68,7 @@ DEFAULT_RIG_SCALE = 1080 / 6016
 NONE = "none"
 """For `infer --mesostructure`, in place of a run's folder."""
 REFINE_SECONDS = 60.0
-"""Of `infer`, at most, where nothing else is asked for; most textures take less."""
+"""Default limit of `infer`'s refinement; most textures take less."""
 LIGHT = "light.json"
 ON_CPU = "Infer with --device cpu."
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
@@ -76,7 +76,7 @@ BACKGROUNDS = {"white": 1.0, "black": 0.0}
 
 @dataclasses.dataclass(frozen=True)
 class RenderRequest:
-    """What `render` and `bake` are asked for.
+    """The options of `render` and `bake`.
 
     Attributes:
         maps: folder of atlas maps.
@@ -87,7 +87,7 @@ class RenderRequest:
         camera: of the rig.
         template: whose shininess and translucency maps to use.
         mode: of shading.
-        lights: that stand for a picture of light.
+        lights: number of lights that replace a picture of light.
         rotate_deg: turns the light about +y.
         shadows: of `learning.relight.SHADOWS`.
     """
@@ -168,7 +168,7 @@ def _lit_head(
     """The head, the light and its shadows."""
     if not 1 <= request.lights <= 4096:
         raise ConfigError("--lights", found=str(request.lights), expected="1 to 4096")
-    # An atlas lies in a processed folder, beside the mesh that it belongs to.
+    # An atlas is in a processed folder, beside the mesh that it belongs to.
     require_texture_maps(request.maps)
     folder = ProcessedFolder(request.maps.parent)
     mesh = folder.registered_mesh if request.mesh is None else request.mesh
@@ -267,7 +267,7 @@ def _smaller_batch(batch: int) -> str:
     """What to try where a GPU's memory does not hold a training."""
     if batch == 1:
         return "Set a smaller patch_px or width by --config, or train with --device cpu."
-    return f"Set batch = {batch // 2} by --config; --resume asks for the batch that the run has."
+    return f"Set batch = {batch // 2} by --config; --resume requires the batch that the run has."
 
 
 def infer_command(
@@ -329,8 +329,8 @@ def infer_command(
         networks, _ = load_four_networks(about.folder) if four else load_generator(about.folder)
         image, notes = resampled_texture(image, about.texture_rows, texture)
         # Before the frame of specular normals could be chosen it was the head's.
-        told = {"specular_frame": "head", **about.config.get("data", {})}
-        data = make_config(DataConfig, told, about.folder)
+        fields = {"specular_frame": "head", **about.config.get("data", {})}
+        data = make_config(DataConfig, fields, about.folder)
         placed = np.eye(3, 4) if pose is None else pose
         given = (data, image, shape, placed, progress, named)
         with memory_of(device, texture, ON_CPU):
@@ -360,7 +360,7 @@ def infer_command(
 def _mesostructure(
     asked: str | None, refine_seconds: float, device: torch.device
 ) -> TrainedMesostructure | None:
-    """The network that finds pores and folds in a refined texture; None where none is asked for.
+    """The network that finds pores and folds in a refined texture; None where it is switched off.
 
     Args:
         asked: a run's folder, or `NONE`; the shipped weights where None.

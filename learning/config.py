@@ -17,20 +17,22 @@ class TrainingConfig(abc.ABC):
     """What all families of networks share; each adds its own and begins from its own values.
 
     Attributes:
-        lights: which environments.
-        augment: which other skins.
-        batch: examples a step, of all processes together.
-        seconds: time to train in one call, instead of the family's number of steps.
-        learning_rate: Adam's.
-        shading: the renderer's formulas for the training's pictures and losses: `paper` as printed,
-            `physical` or `ggx` (see learning.render.shading).
-        precision: of the network's steps: `bf16` computes in bfloat16 and keeps weights and losses
-            in float32, where a CUDA GPU has it; `auto`: where it is.
-        compile: through torch.compile: `on`, `off`; `auto`: on CUDA alone.
-        ema: decay of the weights' moving average, which is scored and inferred with; 0 for none.
-        seed: of everything random.
-        log_steps: steps between lines of metrics.jsonl.
-        save_seconds: time between checkpoints.
+        lights: the environments that are drawn.
+        augment: the variation of the skins that are drawn.
+        batch: number of examples of a step, of all processes together.
+        seconds: seconds of training in one call, instead of the family's number of steps.
+        learning_rate: learning rate of Adam.
+        shading: formulas of the renderer for the training's pictures and losses: `paper` as
+            printed, `physical` or `ggx` (see learning.render.shading).
+        precision: precision of the network's steps: `bf16` computes in bfloat16 and keeps weights
+            and losses in float32, where a CUDA GPU has it; `auto` is `bf16` there and `float32`
+            elsewhere.
+        compile: whether networks go through torch.compile: `on`, `off`; `auto` is `on` with CUDA
+            alone.
+        ema: decay of the weights' moving average, with which is scored and inferred; 0 for none.
+        seed: seed of all random numbers.
+        log_steps: number of steps between two lines of metrics.jsonl.
+        save_seconds: seconds between two checkpoints.
     """
 
     family: ClassVar[str]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -43,6 +44,7 @@ from learning.render.environments import (
     around,
     random_environment,
 )
+from learning.render.kept_shadows import shadows_of_scan
 from learning.render.occlusion import PositionGrid
 from learning.render.shading import Mode, ShadeOptions, SkinMaps, shade, unit
 from learning.render.uv import texel_surface
@@ -67,23 +69,25 @@ class DataConfig:
 
     Attributes:
         patch_px: side of a patch.
-        stride_px: step from patch to patch.
+        stride_px: step from one patch to the next.
         min_coverage: smallest share of a patch's texels that must be measured.
-        held_out_subjects: people, the last ones by name, who are scored and never trained on.
-        patches_in_memory: at most so many patches are kept decoded.
-        shadow_rows: rows of the grid that shadows and ambient occlusion are baked on; 0 for
+        held_out_subjects: number of people, the last ones by name, who are scored and never trained
+            on.
+        patches_in_memory: number of patches that are kept decoded, at most.
+        shadow_rows: rows of the grid on which shadows and ambient occlusion are baked; 0 for
             neither.
-        target: `one` environment for the whole training, around which all inputs and all draws of
-            the rendering loss lie, as published; or `each` set of a scan has its own.
-        shadow_sets: sets of light positions per scan around the one target, or targets per scan.
+        target: `one` environment for the whole training, near which all inputs and all draws of
+            the rendering loss are, as published; or `each` set of a scan has its own.
+        shadow_sets: number of sets of light positions per scan around the one target, or of targets
+            per scan.
         specular_frame: specular normals are in the shape's `tangent` space, as published, or
             in the axes of the `head`.
-        relative: tell colours against the lit texture's mean and normals against the shape's
-            (see learning.encoding); the published networks do not.
-        whole: show the whole texture, shrunk to the patch's size, and train on its albedo, as
-            published; else these six channels stay empty.
-        detail_px: standard deviation of the blur against which the texture's contrast is told to
-            go around the network; 0 for none, as published.
+        relative: whether colours are encoded relative to the lit texture's mean and normals
+            relative to the shape's (see learning.encoding); the published networks do not.
+        whole: whether the whole texture is shown, shrunk to the patch's size, and its albedo
+            trained on, as published; else these six channels stay empty.
+        detail_px: standard deviation of the blur relative to which the texture's contrast
+            bypasses the network; 0 for none, as published.
     """
 
     patch_px: int = 512
@@ -185,6 +189,7 @@ class PatchData:
         clock: Clock | None = None,
         draws: int = 0,
         seed: int = 0,
+        shadows: Path | None = None,
     ) -> None:
         """Find the patches, draw sets of lights and bake their shadows.
 
@@ -200,6 +205,7 @@ class PatchData:
             clock: what is drawn counts on it as data and rendering.
             draws: environments of each pair beside the input's own, for the rendering loss.
             seed: of the one target, which people trained on and held out share.
+            shadows: folder of kept shadows; None where they are baked each time.
 
         Raises:
             TrainingError: no patch is covered enough.
@@ -209,6 +215,7 @@ class PatchData:
         self._lights, self._variation = lights, variation
         self._options = ShadeOptions(mode)
         self._draws = draws
+        self._shadows = shadows
         self._target = target_environment(lights, mode, seed) if config.target == "one" else None
         self._patches: collections.OrderedDict[tuple[int, int, int], Region]
         self._patches = collections.OrderedDict()
@@ -376,8 +383,8 @@ class PatchData:
         arrays = self._shrunk(scan, (rows, columns))
         covered = arrays["confidence"][:, :, 0] > 0
         surface = texel_surface(arrays["position"], covered, smooth_px=1.0)
-        name = info.sha256 and f"{info.sha256} of skin"
-        return ScanLight(groups, PositionGrid(arrays["position"], surface.normal, covered, name))
+        kept = shadows_of_scan(self._shadows, info.sha256, "skin")
+        return ScanLight(groups, PositionGrid(arrays["position"], surface.normal, covered, kept))
 
 
 def _region(arrays: dict[str, np.ndarray], inner: tuple[slice, slice]) -> Region:

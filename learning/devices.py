@@ -1,4 +1,4 @@
-"""Where networks run: a processor, a CUDA GPU or Apple's, and what is said where one is missing."""
+"""Where networks run: a processor, a CUDA GPU or Apple's, and the error where one is missing."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 def choose_device(asked: str = "auto", local_rank: int = 0) -> torch.device:
-    """The device that is asked for.
+    """The device of an option `--device`.
 
     Args:
         asked: `auto` (CUDA, then MPS, then the processor), `cpu`, `cuda`, `cuda:N` or `mps`.
@@ -34,7 +34,7 @@ def choose_device(asked: str = "auto", local_rank: int = 0) -> torch.device:
     if wanted is None:
         raise ConfigError("--device", found=repr(asked), expected=KNOWN)
     if asked == "auto":
-        # With fewer GPUs than processes the first that has none says so, rather than be slow.
+        # With fewer GPUs than processes this is an error, rather than a slow training.
         asked = "cuda" if torch.cuda.is_available() else "mps" if _has_mps() else "cpu"
     if asked == "cuda":
         asked = f"cuda:{local_rank}"
@@ -51,7 +51,7 @@ def choose_device(asked: str = "auto", local_rank: int = 0) -> torch.device:
             expected=f"one of what is: {', '.join(there.values())}",
             hint=hint,
         )
-    # What is asked for in float32 is computed in float32: by default cuDNN keeps 10 bits of 23.
+    # float32 is computed as float32: by default cuDNN keeps 10 bits of 23.
     torch.backends.cudnn.allow_tf32 = False
     return torch.device(asked)
 
@@ -107,19 +107,19 @@ def memory_of(device: torch.device, where: str | Path, hint: str) -> Iterator[No
         hint: what would fit.
 
     Raises:
-        DeviceMemoryError: torch said so within the block.
+        DeviceMemoryError: torch found too little memory within the block.
     """
     try:
         yield
     except RuntimeError as error:
         # For Apple's GPUs torch has no class of this error.
-        said = " ".join(str(error).split())
-        if not isinstance(error, torch.OutOfMemoryError) and "MPS backend out of" not in said:
+        message = " ".join(str(error).split())
+        if not isinstance(error, torch.OutOfMemoryError) and "MPS backend out of" not in message:
             raise
         raise DeviceMemoryError(
             where,
             field=f"memory of {device}",
-            found=". ".join(said.split(". ")[:3]).rstrip("."),
+            found=". ".join(message.split(". ")[:3]).rstrip("."),
             expected="work that fits",
             hint=hint,
         ) from None

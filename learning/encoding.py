@@ -34,7 +34,7 @@ OWN_INPUTS = 6
 OWN_CHANNELS = 10
 """Channels of the patch's own maps; those of the whole albedo follow."""
 SPECULAR_MOST = 0.1
-"""Specular albedo that stands for 1; skin has about 0.03."""
+"""Specular albedo that is encoded as 1; skin has about 0.03."""
 TEXTURE_HEADROOM = 4.0
 """Brightest lit texel that is distinguished, in units of the texture's colour."""
 ALBEDO_HEADROOM = 10.0
@@ -101,7 +101,7 @@ def relative_reference(whole_texture: Tensor, covered: Tensor, shape_normal: Ten
     """White is a multiple of the lit texture's colour; +z is the shape's normal.
 
     The colour is the root of the mean square, in which the lit parts count more than the shadows:
-    how much of a face lies in shadow says little of its skin.
+    how much of a face is in shadow does not depend on its skin.
 
     Args:
         whole_texture: (B, 3, h, w) linear, of the whole face.
@@ -130,7 +130,7 @@ def local_contrast(texture: Tensor, covered: Tensor, white: Tensor, sigma_px: fl
         (B, 3, h, w) in 1 / DETAIL_MOST..DETAIL_MOST.
     """
     encoded = srgb_from_linear(texture / white)
-    # Black texels were never lit or never photographed: they say nothing of the skin.
+    # Black texels were never lit or never photographed: they do not show the skin.
     known = covered * (encoded.amax(dim=1, keepdim=True) / DARK).clamp_max(1.0)
     spread = blur(torch.cat([encoded * known, known], dim=1), sigma_px)
     mean = spread[:, :3] / spread[:, 3:].clamp_min(1e-4)
@@ -139,7 +139,7 @@ def local_contrast(texture: Tensor, covered: Tensor, white: Tensor, sigma_px: fl
 
 
 def smoothed_normal(shape_normal: Tensor, area: Tensor, texel_mm: float) -> Tensor:
-    """Normals of the shape without its folds: the frame in which the shape's own tell of them.
+    """Normals of the shape without its folds: in this frame the shape's own normals show them.
 
     Args:
         shape_normal: (1, 3, h, w) of a whole face; zero where no surface is.
@@ -200,7 +200,7 @@ def encode_maps(
     Args:
         skin: of the patch.
         whole_albedo: (B, 3, h, w) of the whole texture, shrunk to the patch's size.
-        covered: (B, 13, h, w) of `covered_channels`; 0 is said where it is 0.
+        covered: (B, 13, h, w) of `covered_channels`; where it is 0 the encoding is 0.
         reference: of the encoding.
     """
     channels = torch.cat(
@@ -227,7 +227,7 @@ def covered_channels(patch: Tensor, whole: Tensor) -> Tensor:
 
 
 def _without(channels: Tensor, detail: Tensor | None) -> Tensor:
-    """Colour channels over the detail; what lies beyond the network's range is cut off."""
+    """Colour channels over the detail; values beyond the network's range are cut off."""
     return channels if detail is None else ((channels + 1) / detail - 1).clamp_max(1.0)
 
 
@@ -237,7 +237,7 @@ def _with(channels: Tensor, detail: Tensor | None) -> Tensor:
 
 @dataclasses.dataclass(frozen=True)
 class Reflectance:
-    """What the generator says, in physical units.
+    """The generator's output, in physical units.
 
     Attributes:
         diffuse_albedo: (B, 3, h, w).

@@ -26,7 +26,7 @@ def experiment(
         ),
     ],
     out: Annotated[
-        Path, output_folder("--out", help="Folder of the experiment; the same call goes on in it.")
+        Path, output_folder("--out", help="Folder of the experiment; the same call resumes it.")
     ],
     data: Annotated[
         Path | None,
@@ -50,7 +50,7 @@ def experiment(
     ] = "auto",
     stop_after: Annotated[
         float | None,
-        typer.Option(help="Seconds after which runs save and stop; the same call goes on."),
+        typer.Option(help="Seconds after which runs save and stop; the same call resumes them."),
     ] = None,
     scheduler: Annotated[
         str | None,
@@ -90,11 +90,11 @@ def experiment(
         consents,
     )
 
-    def tell(line: str) -> None:
+    def print_line(line: str) -> None:
         print(f"{name}: {line}", file=sys.stderr, flush=True)
 
     with limited_access(group_of([data or out])), progress_bar("experiment") as progress:
-        facts = experiment_command(request, progress, tell)
+        facts = experiment_command(request, progress, print_line)
     if "prepared" in facts:
         line = f"shadows of {facts['prepared']} of {counted(facts['to_prepare'], 'run')} are baked"
     elif "runs" not in facts:

@@ -15,7 +15,7 @@ from lightstage.errors import ConfigError
 
 Precision = Literal["auto", "float32", "bf16"]
 Compile = Literal["auto", "on", "off"]
-SaidT = TypeVar("SaidT")
+OutputT = TypeVar("OutputT")
 
 
 class Speed(Protocol):
@@ -30,7 +30,7 @@ class Speed(Protocol):
         """`auto`: through torch.compile where that pays."""
 
 
-class Forward(Generic[SaidT]):
+class Forward(Generic[OutputT]):
     """Calls a network; what comes out is float32, whatever it was computed in.
 
     Weights, the optimiser's state and the losses stay float32: bfloat16 has the exponents of
@@ -44,7 +44,7 @@ class Forward(Generic[SaidT]):
             ConfigError: a precision that the device does not have.
         """
         self._network: Callable[[Tensor], Any] = network
-        self._half = half_of(config.precision, device)
+        self._dtype = autocast_dtype(config.precision, device)
         self._device = device
         self._compiled: Callable[[Tensor], Any] | None = None
         # On processors a step of the default networks is 1 % (whole faces, beside channels last)
@@ -53,15 +53,15 @@ class Forward(Generic[SaidT]):
             self._compiled = torch.compile(network)
         self._must = config.compile == "on"
 
-    def __call__(self, inputs: Tensor) -> SaidT:
-        """What the network says.
+    def __call__(self, inputs: Tensor) -> OutputT:
+        """The network's output.
 
         Raises:
             TrainingError: it was to be compiled, and cannot be.
         """
         with self._autocast():
-            said = self._called(inputs)
-        found: SaidT = said if self._half is None else _wide(said)
+            output = self._called(inputs)
+        found: OutputT = output if self._dtype is None else _to_float32(output)
         return found
 
     def _called(self, inputs: Tensor) -> Any:
@@ -84,12 +84,12 @@ class Forward(Generic[SaidT]):
         return self._network(inputs)
 
     def _autocast(self) -> contextlib.AbstractContextManager[Any]:
-        if self._half is None:
+        if self._dtype is None:
             return contextlib.nullcontext()
-        return torch.autocast(self._device.type, self._half)
+        return torch.autocast(self._device.type, self._dtype)
 
 
-def half_of(precision: Precision, device: torch.device) -> torch.dtype | None:
+def autocast_dtype(precision: Precision, device: torch.device) -> torch.dtype | None:
     """The type of half the width to compute in on a device; None for float32.
 
     Raises:
@@ -107,11 +107,13 @@ def half_of(precision: Precision, device: torch.device) -> torch.dtype | None:
     return torch.bfloat16 if has and precision != "float32" else None
 
 
-def _wide(said: Any) -> Any:
+def _to_float32(output: Any) -> Any:
     """Tensors of half the width as float32, in dataclasses and lists too."""
-    if isinstance(said, Tensor):
-        return said.float() if said.is_floating_point() else said
-    if isinstance(said, list):
-        return [_wide(one) for one in said]
-    fields = [field.name for field in dataclasses.fields(said)]
-    return dataclasses.replace(said, **{name: _wide(getattr(said, name)) for name in fields})
+    if isinstance(output, Tensor):
+        return output.float() if output.is_floating_point() else output
+    if isinstance(output, list):
+        return [_to_float32(one) for one in output]
+    fields = [field.name for field in dataclasses.fields(output)]
+    return dataclasses.replace(
+        output, **{name: _to_float32(getattr(output, name)) for name in fields}
+    )

@@ -158,9 +158,9 @@ def infer(
     Args:
         generator: in evaluation mode.
         data: how it was trained.
-        texture: with light in it.
+        texture: (rows, columns, 3) linear, with light in it.
         mesh: with the texture's UV.
-        head_from_mesh: pose.
+        head_from_mesh: (3, 4) pose.
         progress: called with tiles done, twice as many as there are.
         named: names in errors.
 
@@ -183,7 +183,7 @@ def finish_maps(found: Reflectance, spread: Tensor, given: Prepared) -> Inferred
     """Maps as they are written.
 
     Args:
-        found: what the networks say of the whole texture.
+        found: the networks' answer for the whole texture.
         spread: (1, rows, columns) standard deviation of the albedo between tiles.
         given: what they were given.
     """
@@ -191,8 +191,8 @@ def finish_maps(found: Reflectance, spread: Tensor, given: Prepared) -> Inferred
     confidence = 1 / (1 + (spread[:, None] / DISAGREEMENT) ** 2) * given.photographed
     beyond = float(((found.diffuse_albedo > 1).any(dim=1, keepdim=True) * seen).sum() / seen.sum())
     if beyond > 0:
-        said = f"diffuse albedo above 1 was cut off on {100 * beyond:.2g} % of the surface"
-        notes.append(f"{said}; is the texture too bright?")
+        warning = f"diffuse albedo above 1 was cut off on {100 * beyond:.2g} % of the surface"
+        notes.append(f"{warning}; is the texture too bright?")
     maps = {
         "diffuse_albedo": found.diffuse_albedo.clamp(0, 1),
         "specular_albedo": found.specular_albedo.clamp(0, 1),

@@ -1,6 +1,6 @@
 """What a texture and a mesh are looked through for before maps are inferred from them.
 
-A network says something of any picture. What it was not made for is refused here, or said.
+A network answers to any picture. What it was not made for is refused here, or is warned of.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MOST_NEGATIVE = 0.02
 DARKEST = 0.005
 """A texture whose 95th percentile is darker than this was exposed for something else."""
 MOST_BLACK, SAID_BLACK = 0.95, 0.5
-"""Share of a surface's texels that were not photographed: refused above, said above."""
+"""Share of a surface's texels that were not photographed: refused above, warned of above."""
 ASPECT_OFF = 0.02
 """Share by which rows over columns may differ: sizes are whole numbers."""
 LEAST_LIKENESS, MORE_LIKE = 0.1, 0.1
@@ -82,7 +82,7 @@ def require_aspect(rows: int, columns: int, like: tuple[int, int], where: str | 
             where,
             found=f"{rows} x {columns} texels",
             expected=f"rows : columns = {high} : {wide}, as the textures trained on",
-            hint="Is it part of an atlas, or another template's? Texels would lie elsewhere on "
+            hint="Is it part of an atlas, or another template's? Texels would be elsewhere on "
             "the head.",
         )
 

@@ -282,5 +282,5 @@ def _require_losses(config: Any, where: str | Path) -> None:
             field=", ".join(weights),
             found="0 each",
             expected="at least one above 0",
-            hint="The adversarial loss alone does not ask for the maps of the person shown.",
+            hint="The adversarial loss alone does not require the maps of the person shown.",
         )

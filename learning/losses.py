@@ -37,8 +37,8 @@ def rendering_loss(found: Tensor, batch: Batch, norm: RenderNorm = "patch") -> T
     for scene in (Scene(batch.environment, batch.visibility), *batch.draws):
         with torch.no_grad():
             truth = shade(batch.skin, scene.environment, of_truth, scene.visibility)
-        said = shade(skin, scene.environment, of_found, scene.visibility)
-        square = (said - truth).square() * batch.covered
+        rendered = shade(skin, scene.environment, of_found, scene.visibility)
+        square = (rendered - truth).square() * batch.covered
         # The square root's gradient at 0 is infinite; 1e-4 is far below what a texel shows.
         if norm == "texel":
             each = (square.sum(dim=1, keepdim=True) + 1e-8).sqrt()

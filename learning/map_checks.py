@@ -1,4 +1,4 @@
-"""What maps are looked through for before they are rendered: refused, mended, or said."""
+"""Checks of maps before they are rendered: faults are refused, mended, or warned of."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GREY_LEVELS = 255
 
 
 def require_albedo(values: np.ndarray, path: Path) -> None:
-    """MapsError where an albedo is negative."""
+    """MapsError where an albedo of any shape is negative."""
     bad = values < 0
     if bad.any():
         first = ", ".join(str(int(i)) for i in np.argwhere(bad)[0])
@@ -45,13 +45,13 @@ def require_millimetres(mesh: Mesh, where: str) -> None:
 
 
 def not_unit(normals: np.ndarray, covered: np.ndarray) -> int:
-    """How many texels' normals have a direction but not length 1."""
+    """How many (rows, columns, 3) normals, where `covered`, have a direction but not length 1."""
     length = np.linalg.norm(normals[covered], axis=1)
     return int(((length > 1e-3) & (np.abs(length - 1) > UNIT_OFF)).sum())
 
 
 def looks_encoded(albedo: np.ndarray, covered: np.ndarray) -> bool:
-    """Whether a linear albedo looks like an 8-bit sRGB picture that was not decoded.
+    """Whether a (rows, columns, 3) linear albedo looks like an 8-bit sRGB picture, not decoded.
 
     Such a picture's histogram has values at multiples of 1/255 alone. Half floats hold those to
     one part in 2048, so a level differs from its neighbours up to 1.

@@ -37,7 +37,7 @@ def require_texture_maps(folder: Path) -> None:
             raise MapsError(
                 folder,
                 field="--maps",
-                found="one camera's maps, laid out as its photograph",
+                found="one camera's maps, in the layout of its photograph",
                 expected="maps in the texture's layout",
                 hint=f"Give {folder.resolve().parent.parent / 'atlas'}, which the stage atlas "
                 "makes of all views.",
@@ -67,7 +67,7 @@ def require_texture_maps(folder: Path) -> None:
 
 def _meaning(folder: Path) -> str:
     if folder.parent.name == "views":
-        return "one camera's, laid out as its photograph"
+        return "one camera's, in the layout of its photograph"
     if folder.name == "atlas":
         return "the texture of one person and expression"
     return "maps in a texture's layout"

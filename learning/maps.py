@@ -19,11 +19,11 @@ from lightstage.formats.processed import read_map
 from lightstage.formats.template import Template
 
 SHININESS = 32.0
-"""Blinn-Phong's exponent where no map says: Beckmann m = 0.25, skin's middle."""
+"""Blinn-Phong's exponent where there is no map: Beckmann m = 0.25, skin's middle."""
 ROUGHNESS_RANGE = (0.05, 0.95)
 """Of Beckmann's m that is taken from a map: the exponents 798 and 0.2."""
 TRANSLUCENCY = 0.5
-"""Translucency where no map says."""
+"""Translucency where there is no map."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,8 +50,8 @@ def load_head(folder: Path, mesh: Mesh, template: Template | None = None) -> Tex
 
     Needed are diffuse_albedo, specular_albedo, diffuse_normal and specular_normal; a texel without
     a normal takes the mesh's; normals of another length than 1 are made unit and counted; an albedo
-    that looks like undecoded sRGB is said, and taken as it is. ambient_occlusion and confidence are
-    used where present. Shininess and translucency come from the template.
+    that looks like undecoded sRGB is warned of, and taken as it is. ambient_occlusion and
+    confidence are used where present. Shininess and translucency come from the template.
 
     Args:
         folder: such as OUT/atlas.
@@ -91,7 +91,7 @@ def load_head(folder: Path, mesh: Mesh, template: Template | None = None) -> Tex
     skin_maps = template.maps if template else {}
     shininess = _resized(skin_maps.get("shininess"), rows, columns, SHININESS)
     if "roughness" in maps:
-        # What was measured goes before what a template says; texels without stay as they were.
+        # What was measured replaces what a template states; texels without it stay as they were.
         known = maps["roughness"] > 0
         m = np.clip(maps["roughness"], *ROUGHNESS_RANGE)
         shininess = np.where(known, 2 / m**2 - 2, shininess).astype(np.float32)
@@ -143,7 +143,7 @@ def skin_maps_from(
 
 
 def typical_texel_mm(area_mm2: np.ndarray) -> float:
-    """Edge of the median texel that shows a surface; 1 where none does."""
+    """Edge, mm, of the median texel of (rows, columns) areas; 1 where all are 0."""
     some = area_mm2[area_mm2 > 0]
     return float(np.sqrt(np.median(some))) if some.size else 1.0
 

@@ -18,18 +18,18 @@ class PatchConfig(TrainingConfig):
     """What one network of patches and four share; the defaults are pix2pixHD's [Wang2018].
 
     Attributes:
-        generator: its size.
-        discriminator: its size.
-        data: which patches.
-        epochs: passes over the patches.
-        steps: of the training, in place of `epochs`.
-        beta1: Adam's.
-        beta2: Adam's.
-        constant_share: part of the training before the learning rate falls linearly to 0.
-        feature_weight: of feature matching.
-        map_weight: of the maps' own L1; not in the paper, 0 there. It makes a training of minutes
-            converge.
-        score_patches: patches of the people held out that are scored.
+        generator: the generator's size.
+        discriminator: the discriminators' size.
+        data: the patches that are trained on.
+        epochs: number of passes over the patches.
+        steps: number of steps, in place of `epochs`.
+        beta1: Adam's decay of the mean gradient.
+        beta2: Adam's decay of the mean squared gradient.
+        constant_share: share of the training before the learning rate falls linearly to 0.
+        feature_weight: weight of feature matching.
+        map_weight: weight of the maps' own L1; not in the paper, 0 there. It makes a training of
+            minutes converge.
+        score_patches: number of patches of the people held out that are scored.
     """
 
     generator: GeneratorConfig = dataclasses.field(default_factory=GeneratorConfig)
@@ -61,10 +61,11 @@ class TrainConfig(PatchConfig):
     """A training of one network; the defaults are the published ones [Lattas2021].
 
     Attributes:
-        render_weight: of the rendering loss.
-        render_norm: of the rendering loss: over the `patch`, under which the published weight of .3
-            matters, or the mean of `texel`s (see learning.losses).
-        environments: n_L of the rendering loss; 0 for the input's own environment alone.
+        render_weight: weight of the rendering loss.
+        render_norm: norm of the rendering loss: over the `patch`, under which the published weight
+            of .3 matters, or the mean of `texel`s (see learning.losses).
+        environments: number of environments of the rendering loss, n_L; 0 for the input's own
+            environment alone.
     """
 
     family: ClassVar[str] = "patches"

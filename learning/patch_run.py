@@ -30,20 +30,22 @@ def patch_task(
     config = trainer.config
     rng, seed = np.random.default_rng([config.seed, 1]), config.seed
     how = (config.data, config.lights, config.augment, rng, config.shading)
-    data = PatchData(store, trained_on, *how, clock=run.clock, draws=config.draws, seed=seed)
-    scored = PatchData(store, held_out, *how, seed=seed)
+    data = PatchData(
+        store, trained_on, *how, clock=run.clock, draws=config.draws, seed=seed, shadows=run.shadows
+    )
+    scored = PatchData(store, held_out, *how, seed=seed, shadows=run.shadows)
 
     def finish() -> tuple[Score, list[Sample]]:
-        said = trainer.answers()
-        found = score(said, scored, data, config.score_patches, seed)
-        return found, _samples(said, scored, store, seed)
+        answers = trainer.answers()
+        found = score(answers, scored, data, config.score_patches, seed)
+        return found, _samples(answers, scored, store, seed)
 
     steps = config.steps or max(1, math.ceil(config.epochs * len(data.places) / config.batch))
     return Task(data.draw, steps, len(data.places), finish)
 
 
 def _samples(
-    said: Callable[[Batch], Reflectance], held_out: PatchData, store: Store, seed: int
+    answers: Callable[[Batch], Reflectance], held_out: PatchData, store: Store, seed: int
 ) -> list[Sample]:
     """Patches from over the people held out, and what the networks make of them."""
     rng = np.random.default_rng([seed, 6])
@@ -52,7 +54,7 @@ def _samples(
     for index in np.linspace(0, len(held_out.places) - 1, count).round().astype(int):
         batch = held_out.batch([held_out.places[index]], rng)
         with torch.inference_mode():
-            albedo = said(batch).diffuse_albedo
+            albedo = answers(batch).diffuse_albedo
         name = store.scans[batch.places[0][0]].subject
         found.append(
             Sample(

@@ -131,7 +131,7 @@ class PatchTrainer(Trainer[TrainConfig, Batch]):
         """What the generator to infer with finds on patches of the processor."""
         return answers_of(self.trained)
 
-    def kept(self, batch: Batch) -> dict[str, Tensor]:
+    def batch_tensors(self, batch: Batch) -> dict[str, Tensor]:
         """See `Trainer`."""
         return {name: getattr(batch, name) for name in ("inputs", "target", "covered", "texture")}
 

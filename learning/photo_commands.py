@@ -1,4 +1,4 @@
-"""Commands of photographs: `fit`, `avatar`, and where faces' points lie on a template."""
+"""Commands of photographs: `fit`, `avatar`, and the places of faces' points on a template."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ FilmOption = Annotated[
     float | None,
     typer.Option(
         "--focal-35mm",
-        help="Focal length of the lens as on 35 mm film, mm, in place of what the files tell.",
+        help="Focal length of the lens as on 35 mm film, mm, in place of what the files state.",
     ),
 ]
 FitRowsOption = Annotated[
@@ -179,7 +179,7 @@ def template_points(
     ),
     as_json: bool = JsonFlag,
 ) -> None:
-    """Find where the face detector's 468 points lie on a template, from pictures all round."""
+    """Find the places of the face detector's 468 points on a template, by pictures all round."""
     from learning.points.command import template_points as find_template_points
 
     with progress_bar("template-points") as progress:

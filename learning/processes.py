@@ -67,7 +67,7 @@ class Processes:
         if self.count == 1:
             return values
         numbers = torch.tensor(values, dtype=torch.float64)
-        with _told():
+        with _reported_once():
             together.all_reduce(numbers)
         found: list[float] = (numbers / self.count).tolist()
         return found
@@ -85,11 +85,11 @@ class Processes:
         return float(own) / mean if mean > 0 else 1.0
 
     def of_first(self, value: float) -> float:
-        """What the first process says."""
+        """The first process's value."""
         if self.count == 1:
             return value
         number = torch.tensor(value, dtype=torch.float64)
-        with _told():
+        with _reported_once():
             together.broadcast(number, 0)
         return float(number)
 
@@ -102,7 +102,7 @@ class Processes:
             # NCCL takes a GPU's tensors, Gloo the processor's.
             flat = torch.cat([gradient.flatten() for gradient in part])
             flat = flat if flat.is_cuda else flat.to(CPU)
-            with _told():
+            with _reported_once():
                 together.all_reduce(flat)
             means = (flat / self.count).split([gradient.numel() for gradient in part])
             for gradient, mean in zip(part, means, strict=True):
@@ -115,7 +115,7 @@ class Processes:
         for tensor in tensors:
             values = tensor.detach()
             sent = (values if values.is_cuda else values.to(CPU)).contiguous()
-            with _told():
+            with _reported_once():
                 together.broadcast(sent, 0)
             values.copy_(sent)
 
@@ -129,15 +129,15 @@ def started_by_torchrun() -> Processes:
     Raises:
         ConfigError: only some of the variables that torchrun sets, or others than numbers.
     """
-    said = {name: os.environ[name] for name in VARIABLES if name in os.environ}
-    if "RANK" not in said and "WORLD_SIZE" not in said:
+    environment = {name: os.environ[name] for name in VARIABLES if name in os.environ}
+    if "RANK" not in environment and "WORLD_SIZE" not in environment:
         return ALONE
-    numbers = [said.get(name, "nothing") for name in VARIABLES[:3]]
-    if len(said) < len(VARIABLES) or not all(text.isdecimal() for text in numbers):
+    numbers = [environment.get(name, "nothing") for name in VARIABLES[:3]]
+    if len(environment) < len(VARIABLES) or not all(text.isdecimal() for text in numbers):
         raise ConfigError(
             "environment",
             field=", ".join(VARIABLES),
-            found=", ".join(said.get(name, "nothing") for name in VARIABLES),
+            found=", ".join(environment.get(name, "nothing") for name in VARIABLES),
             expected="all of them, as torchrun sets them, or none",
             hint="Start with `torchrun --nproc-per-node N -m learning train ..`, or unset them.",
         )
@@ -154,7 +154,7 @@ def joined(processes: Processes, device: torch.device) -> Iterator[None]:
     if processes.count == 1:
         yield
         return
-    with _told():
+    with _reported_once():
         # Numbers that steer the training are the processor's, whatever the network runs on.
         backend = "cpu:gloo,cuda:nccl" if device.type == "cuda" else "gloo"
         if device.type == "cuda":
@@ -167,8 +167,8 @@ def joined(processes: Processes, device: torch.device) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _told() -> Iterator[None]:
-    """Tell that another process is gone as one error; where a signal ended it, as that signal."""
+def _reported_once() -> Iterator[None]:
+    """Report that another process is gone as one error; where a signal ended it, as that signal."""
     try:
         yield
     except (RuntimeError, ValueError) as error:
@@ -176,12 +176,12 @@ def _told() -> Iterator[None]:
             raise
         if interrupted():
             raise KeyboardInterrupt from None
-        said = " ".join(str(error).split("\n")[0].split())[:200]
+        message = " ".join(str(error).split("\n")[0].split())[:200]
         raise TrainingError(
             "processes",
-            found=f"another process that does not answer ({said})",
+            found=f"another process that does not answer ({message})",
             expected="all processes of the training, to its end",
-            hint="The one that ended first says why. Go on from the last checkpoint with --resume.",
+            hint="The first one that ended reports why. --resume continues the training.",
         ) from None
 
 

@@ -28,7 +28,7 @@ from lightstage.rig import Camera
 from processing.colour import srgb_from_linear
 
 FAR_MM = 100_000.0
-"""Lights of a picture stand this far away: a head turns them by less than 0.1 degrees."""
+"""Lights of a picture are this far away: a head turns them by less than 0.1 degrees."""
 
 NETWORK, TABLE = "network:", "table:"
 SHADOWS = ("baked", "table", "none", f"{TABLE}FILE", f"{NETWORK}FILE")
@@ -41,7 +41,7 @@ def read_light(path: Path, count: int, rotate_deg: float = 0.0) -> LightSet:
 
     Args:
         path: .json (lightstage.environment/1), or .exr or .hdr (latitude-longitude).
-        count: lights that stand for a picture, by median cut.
+        count: number of lights that replace a picture, by median cut.
         rotate_deg: turns the light about +y, from +z toward +x.
 
     Raises:
@@ -83,7 +83,7 @@ def about_y(angle_deg: float) -> np.ndarray:
 
 
 def turned_camera(camera: Camera, angle_deg: float, centre_mm: np.ndarray) -> Camera:
-    """A camera that has gone round the vertical through a point, from +z toward +x."""
+    """A camera turned round the vertical through a (3,) point, mm, from +z toward +x."""
     turn = about_y(angle_deg)
     rotation, translation = camera.cam_from_world[:, :3], camera.cam_from_world[:, 3]
     moved = rotation @ turn.T

@@ -49,5 +49,5 @@ def resampled_texture(
     mean = cv2.resize(image.astype(np.float32), (columns, rows), interpolation=how)
     kept = share >= 0.5
     made = np.where(kept[..., None], mean / np.where(kept, share, 1.0)[..., None], 0.0)
-    said = f"resampled from {height} x {width} texels to the {rows} rows the network was trained on"
-    return made.astype(np.float32), [said]
+    note = f"resampled from {height} x {width} texels to the {rows} rows the network was trained on"
+    return made.astype(np.float32), [note]

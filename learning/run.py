@@ -40,9 +40,8 @@ BEFORE = {"shading": "physical", "ema": 0.0, "steps": None}
 BEFORE_DATA = {"whole": True}
 """The same of the table `data`."""
 FREE = ("seconds", "precision", "compile", "save_seconds", "log_steps")
-"""How long to go on, how fast on the device at hand, and what is written on the way, are new
-decisions each time."""
-MOST_TOLD = 4
+"""Configuration that may differ when a run is resumed: how long, how fast, and what is written."""
+MOST_NAMED = 4
 """Values that differ from those a run began with, at most, that a message names."""
 
 
@@ -56,7 +55,7 @@ class Learner(Protocol):
         """Take step `number` of a training of which the share `done` (0..1) is past; the losses.
 
         All randomness follows from the seed and `number`, so that a training that was interrupted
-        goes on as if it had not been.
+        continues as if it had not been.
         """
 
     def batch(self, number: int) -> dict[str, Tensor]:
@@ -129,6 +128,7 @@ class Run:
         events: of this call, as TensorBoard reads them.
         clock: of this call's steps. What makes batches and renders counts its own parts on it; what
             is left of a step counts as the network's.
+        shadows: folder of baked shadows that trainings share; None where each bakes its own.
     """
 
     out: Path
@@ -140,6 +140,7 @@ class Run:
     processes: Processes = ALONE
     events: EventFile | None = None
     clock: Clock = dataclasses.field(default_factory=Clock)
+    shadows: Path | None = None
 
     def steps(self, learner: Learner, total: int, progress: ProgressCallback = quiet) -> int:
         """Train until the steps or the seconds are used up; returns the steps done in all.
@@ -256,8 +257,8 @@ class Run:
         """Save the trained network with its figures, and a sheet of some samples."""
         figures = {f.name: getattr(score, f.name) for f in dataclasses.fields(score)}
         shares = self.clock.shares()
-        said = {f"share_{name}": round(share, 4) for name, share in shares.items()}
-        self.log({"step": steps, **figures, **said})
+        shares_logged = {f"share_{name}": round(share, 4) for name, share in shares.items()}
+        self.log({"step": steps, **figures, **shares_logged})
         about = {**self.about, "metrics": figures}
         index = self._save(learner, steps, about)
         if samples and self.processes.first:
@@ -298,17 +299,19 @@ def begin(
     resume: bool,
     load: Callable[[Checkpoint], None],
     processes: Processes = ALONE,
+    shadows: Path | None = None,
 ) -> Run:
-    """Begin a run in a folder, or go on with the one that is there.
+    """Begin a run in a folder, or resume the one that is there.
 
     Args:
         out: the folder.
         config: of the training.
         store: the data.
         held_out: people who are not trained on.
-        resume: go on.
-        load: takes over the state of the checkpoint that is gone on with.
+        resume: continue the run that is there.
+        load: takes over the state of the checkpoint that is resumed.
         processes: that train together.
+        shadows: folder of baked shadows that trainings share; None where each bakes its own.
 
     Raises:
         CheckpointError: nothing to resume, another configuration or other data; or, without
@@ -321,7 +324,7 @@ def begin(
                 out,
                 found="no run",
                 expected=f"a run with its {INDEX}",
-                hint="Leave --resume out to begin one, or name the --out of the run to go on with.",
+                hint="Leave --resume out to begin one, or name the --out of the run to resume.",
             )
         checkpoint = read_checkpoint(out)
         _check_same(checkpoint, config, store)
@@ -330,7 +333,7 @@ def begin(
         if processes.first:
             _drop_half_line(out / METRICS)
     elif processes.first or (out / INDEX).exists():
-        require_new(out, "Go on with --resume, or choose another --out.")
+        require_new(out, "Resume it with --resume, or choose another --out.")
     about = {
         "family": config.family,
         "config": as_dict(config),
@@ -339,11 +342,11 @@ def begin(
         "texture_rows": store.scans[0].rows,
         "metrics": {},
     }
-    return Run(out, config, about, first, began, spent, processes, EventFile(out))
+    return Run(out, config, about, first, began, spent, processes, EventFile(out), shadows=shadows)
 
 
 def not_better(score: Scored) -> str:
-    """What to tell of a network that plain guesses are as good as; empty where none is."""
+    """A warning where plain guesses are as good as the network; empty where they are not."""
     better = {name: db for name, db in score.guesses().items() if db >= score.psnr_db}
     if not better:
         return ""
@@ -417,7 +420,7 @@ def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
             where,
             field="family",
             found=f"{checkpoint.family}, as the run began",
-            expected=f"{config.family}, the preset's that was asked for",
+            expected=f"{config.family}, the given preset's",
             hint="Resume with the --preset that the run began with, or choose another --out.",
         )
     wanted = parse_json(json.dumps(as_dict(config)), "configuration")
@@ -430,13 +433,13 @@ def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
         name: values for name, values in _differences(begun, wanted).items() if name not in FREE
     }
     if differing:
-        told = list(differing)[:MOST_TOLD]
-        more = f" and {len(differing) - len(told)} more" if len(differing) > len(told) else ""
+        named = list(differing)[:MOST_NAMED]
+        more = f" and {len(differing) - len(named)} more" if len(differing) > len(named) else ""
         raise CheckpointError(
             where,
-            field=", ".join(told) + more,
-            found=", ".join(str(differing[name][1]) for name in told) + " now",
-            expected=", ".join(str(differing[name][0]) for name in told) + ", as the run began",
+            field=", ".join(named) + more,
+            found=", ".join(str(differing[name][1]) for name in named) + " now",
+            expected=", ".join(str(differing[name][0]) for name in named) + ", as the run began",
             hint="Resume with the same --preset, --config and --seed.",
         )
     if checkpoint.data_fingerprint != store.fingerprint:

@@ -1,4 +1,4 @@
-"""RUN/samples.html: what a network makes of people held out, to be looked at beside the truth.
+"""RUN/samples.html: what a network makes of people held out, shown beside the truth.
 
 One file without script or network, pictures inside it. It shows faces: it is its owner's alone.
 """
@@ -50,7 +50,7 @@ class Sample:
     truth: Tensor
 
 
-def write_samples(folder: Path, title: str, said: str, samples: Sequence[Sample]) -> Path:
+def write_samples(folder: Path, title: str, sentence: str, samples: Sequence[Sample]) -> Path:
     """Write the sheet of some samples, `MOST` at most; only its owner may read it.
 
     Args:
@@ -69,7 +69,7 @@ def write_samples(folder: Path, title: str, said: str, samples: Sequence[Sample]
         "<!doctype html>\n"
         f'<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{html.escape(title)}</title>\n'
         f"<style>{STYLE}</style>\n</head>\n<body>\n<h1>{html.escape(title)}</h1>\n"
-        f"<p>{html.escape(said)}</p>\n<table>\n<thead><tr>{head}</tr></thead>\n"
+        f"<p>{html.escape(sentence)}</p>\n<table>\n<thead><tr>{head}</tr></thead>\n"
         f"<tbody>\n{rows}\n</tbody>\n</table>\n</body>\n</html>\n"
     )
     with limited_access("nothing"):

@@ -32,8 +32,8 @@ class Score:
         psnr_db: of the found diffuse albedo, sRGB-encoded.
         psnr_input_db: of the lit texture taken as albedo.
         psnr_mean_db: of the training people's mean albedo at the same place.
-        psnr_flat_db: of the constant output that suits the training people best: one tone, told
-            against the lit texture's where the network's colours are.
+        psnr_flat_db: of the constant output that suits the training people best: one tone, relative
+            to the lit texture's where the network's colours are.
         detail: correlation of the found albedo with the true one, each less its patch's mean;
             0 of one tone.
         detail_input: the same of the lit texture taken as albedo.
@@ -73,17 +73,17 @@ class Score:
 
 
 def answers_of(generator: Generator) -> Callable[[Batch], Reflectance]:
-    """What a generator on any device finds on patches; given and told on the processor."""
+    """What a generator on any device finds on patches, which are on the processor."""
     device = device_of(generator)
 
-    def said(batch: Batch) -> Reflectance:
+    def answers(batch: Batch) -> Reflectance:
         return decode_maps(generator(batch.inputs.to(device)).to(CPU), batch.reference)
 
-    return said
+    return answers
 
 
 def score(
-    said: Callable[[Batch], Reflectance],
+    answers: Callable[[Batch], Reflectance],
     held_out: PatchData,
     trained_on: PatchData,
     patches: int,
@@ -92,7 +92,7 @@ def score(
     """Score on patches spread evenly over those of the people held out, under random lights.
 
     Args:
-        said: what the networks find.
+        answers: what the networks find.
         held_out: their patches.
         trained_on: for the baseline of the mean person.
         patches: how many, at most.
@@ -114,7 +114,7 @@ def score(
         )
     tone = torch.stack([_tone(trained_on.draw(1, rng)) for _ in range(2 * count)]).mean(dim=0)
     with torch.inference_mode():
-        found = [said(batch) for batch in batches]
+        found = [answers(batch) for batch in batches]
 
     def mean_square(values: list[Tensor]) -> float:
         texels = [
@@ -167,7 +167,7 @@ def _mean_albedo(trained_on: PatchData, batch: Batch) -> Tensor:
 
 
 def _tone(batch: Batch) -> Tensor:
-    """(1, 3, 1, 1) mean of a patch's albedo as the network would have to say it."""
+    """(1, 3, 1, 1) mean of a patch's albedo as the network's output would have to be."""
     encoded = encode_colour(batch.skin.diffuse_albedo, batch.reference.albedo)
     total = (encoded * batch.covered).sum(dim=(2, 3), keepdim=True)
     return total / batch.covered.sum().clamp_min(1)

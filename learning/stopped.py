@@ -1,4 +1,4 @@
-"""Last words of an interrupted training: the step that is kept, and how to go on."""
+"""The message of an interrupted training: the step that is kept, and how to resume."""
 
 from __future__ import annotations
 
@@ -36,4 +36,4 @@ def stopped_training(
             f"Begin again with: {shell_line(*words)}"
         )
     kept = f"step {read_checkpoint(out).step} is kept in {out}"
-    return StoppedError(f"Interrupted: {kept}. Go on with: {shell_line(*words, '--resume')}")
+    return StoppedError(f"Interrupted: {kept}. To resume: {shell_line(*words, '--resume')}")

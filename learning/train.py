@@ -20,7 +20,7 @@ from learning.patch_run import patch_task
 from learning.patch_train import PatchTrainer
 from learning.processes import ALONE, Processes
 from learning.run import TrainResult, begin, split
-from learning.training import FedTrainer, Task, Trainer
+from learning.training import BatchLearner, Task, Trainer
 from learning.upscale.config import UpscaleTrainConfig
 from learning.upscale.train import UpscaleTrainer, upscale_task
 from learning.whole.config import WholeTrainConfig
@@ -47,20 +47,22 @@ def train(
     progress: ProgressCallback = quiet,
     device: torch.device = CPU,
     processes: Processes = ALONE,
+    shadows: Path | None = None,
 ) -> TrainResult[Any]:
     """Train, score on the people held out, leave a checkpoint and metrics.jsonl in `out`.
 
     Every step draws its randomness from the seed and its own number, so a training that was
-    interrupted and resumed goes on as if it had not been. Interrupting saves a checkpoint first.
+    interrupted and resumed continues as if it had not been. Interrupting saves a checkpoint first.
 
     Args:
         store: the data.
         out: the run's folder.
-        config: everything else; its class says which family.
-        resume: go on from the checkpoint in `out`.
+        config: everything else; its class decides the family.
+        resume: continue from the checkpoint in `out`.
         progress: called with steps, or seconds where the time is given.
         device: where the networks run; what they are fed with is made on the processor.
         processes: that train together, of which this is one. The batch is that of all of them.
+        shadows: folder of baked shadows that trainings share; None where each bakes its own.
 
     Returns:
         With the family's own figures.
@@ -75,12 +77,12 @@ def train(
     held_out, trained_on = split(store, config.held_out_subjects)
     processes.share(config.batch)
     trainer = make(config, device, processes)
-    run = begin(out, config, store, held_out, resume, trainer.load, processes)
+    run = begin(out, config, store, held_out, resume, trainer.load, processes, shadows)
     trainer.clock = run.clock
     task = task_of(trainer, store, trained_on, held_out, run)
     for network in trainer.networks():
         processes.same_tensors(network.state_dict().values())
-    learner = FedTrainer(trainer, task.draw)
+    learner = BatchLearner(trainer, task.draw)
     with learner.ahead():
         steps = run.steps(learner, task.steps, progress)
     with run.scoring(learner, steps):

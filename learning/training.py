@@ -72,7 +72,7 @@ class Trainer(abc.ABC, Generic[ConfigT, BatchT]):
         saved = {role: load_tensors(checkpoint, role) for role in self.tensors()}
         self.take_over(saved, checkpoint.folder / INDEX)
 
-    def kept(self, batch: BatchT) -> dict[str, Tensor]:
+    def batch_tensors(self, batch: BatchT) -> dict[str, Tensor]:
         """What of a batch is kept where the training goes astray."""
         names = [field.name for field in dataclasses.fields(batch)]  # type: ignore[arg-type]
         return {name: getattr(batch, name) for name in names}
@@ -102,7 +102,7 @@ class Task(Generic[BatchT, ScoreT]):
     finish: Callable[[], tuple[ScoreT, list[Sample]]]
 
 
-class FedTrainer(Generic[BatchT]):
+class BatchLearner(Generic[BatchT]):
     """A trainer, fed with random batches, made in a thread of their own once it is `ahead`."""
 
     def __init__(self, trainer: Trainer[Any, BatchT], draw: Draw[BatchT]) -> None:
@@ -135,7 +135,7 @@ class FedTrainer(Generic[BatchT]):
         """See `Learner`."""
         aside = None if self._batches is None else self._batches.aside
         drawn = self._drawn(number) if aside is None else aside(self._drawn, number)
-        return self._trainer.kept(drawn)
+        return self._trainer.batch_tensors(drawn)
 
     def tensors(self) -> dict[str, dict[str, Tensor]]:
         """See `Learner`."""

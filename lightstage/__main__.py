@@ -20,7 +20,7 @@ COMMANDS = {
     ),
     "console": (
         "lightstage.console.command",
-        "Serve the operator's page on 127.0.0.1 until Ctrl-C; captures go on without it.",
+        "Serve the operator's page on 127.0.0.1 until Ctrl-C; captures continue without it.",
     ),
     "watch": (
         "lightstage.operator.command",
@@ -40,7 +40,7 @@ COMMANDS = {
     ),
     "calibrate": (
         "lightstage.calibrations.command",
-        "Take calibration shots pose by pose; each is looked at before the next.",
+        "Take calibration shots pose by pose; each is checked before the next.",
     ),
     "calibrations": (
         "lightstage.calibrations.command",
@@ -52,7 +52,7 @@ COMMANDS = {
     ),
     "rig": (
         "lightstage.rig_command",
-        "What describes the stage: where its lights and cameras stand.",
+        "The description of the stage: the places of its lamps and cameras.",
     ),
     "lights": (
         "lightstage.wiring.command",

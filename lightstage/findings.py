@@ -1,4 +1,4 @@
-"""What a look at a device or a photograph found: in plain words, with what to do."""
+"""What a check of a device or a photograph found: in plain words, with what to do."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def printable(value: object, longest: int = LONGEST, squeeze: bool = True) -> st
     """
     text = str(value)
     if squeeze:
-        # Cut first, generously: the rest of a very long text need not be looked at.
+        # Cut first, generously: the rest of a very long text need not be read.
         text = " ".join(text[: 16 * longest].strip("\0 \t\r\n").split())
     text = "".join(map(_escaped, text[: longest + 1]))
     return text if len(text) <= longest else f"{text[: longest - 1]}…"

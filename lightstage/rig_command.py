@@ -20,7 +20,7 @@ def register(app: typer.Typer) -> None:
     """Add the group `rig` to an application."""
     group = typer.Typer(
         rich_markup_mode=None,
-        help="What describes the stage: where its lights and cameras stand.",
+        help="The description of the stage: the places of its lamps and cameras.",
     )
     group.callback()(_rig)
     group.command("check")(check_command)
@@ -28,7 +28,7 @@ def register(app: typer.Typer) -> None:
 
 
 def _rig() -> None:
-    """What describes the stage: where its lights and cameras stand."""
+    """The description of the stage: the places of its lamps and cameras."""
 
 
 def check_command(

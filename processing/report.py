@@ -176,7 +176,7 @@ def resize(image: np.ndarray, height: int) -> np.ndarray:
 
 
 def side_by_side(images: Sequence[np.ndarray], height: int, gap: int = 6) -> np.ndarray:
-    """Pictures in a row at one height with a white gap, (height, w, 3) uint8."""
+    """Pictures (h, w[, 3]) uint8 in a row at one height with a white gap: (height, w, 3) uint8."""
     row: list[np.ndarray] = []
     for image in images:
         coloured = image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2)

@@ -23,3 +23,12 @@ def test_make_bench_leaves_out_what_needs_arguments() -> None:
     scripts = sorted((ROOT / "benchmarks").glob("*.py"))
     asking = [path.stem for path in scripts if needs_arguments(path.read_text())]
     assert asking == named[1].split()
+
+
+def test_no_benchmark_imports_a_test() -> None:
+    importing = [
+        path.name
+        for path in sorted((ROOT / "benchmarks").glob("*.py"))
+        if re.search(r"^\s*(from|import) tests\b", path.read_text(), re.MULTILINE)
+    ]
+    assert importing == []

@@ -41,7 +41,7 @@ def needed_mb(tmp_path: Path) -> int:
     return round(1000 * float(found[1]))
 
 
-def test_room_is_told_in_one_line(tmp_path: Path) -> None:
+def test_room_is_reported_in_one_line(tmp_path: Path) -> None:
     found = ask(tmp_path, {str(tmp_path): 80_000}, tmp_path)
     assert (found.returncode, found.stderr) == (0, "")
     assert found.stdout.count("\n") == 1

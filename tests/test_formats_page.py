@@ -91,7 +91,7 @@ def test_an_example_is_read(folder: Path, name: str) -> None:
     ("name", "field", "needed"),
     [(name, field, needed) for name in READERS for field, needed in fields_of(name)],
 )
-def test_a_field_is_needed_where_the_page_says_so(
+def test_a_field_is_needed_where_the_page_states_it(
     folder: Path, name: str, field: str, needed: bool
 ) -> None:
     value = without(json.loads(EXAMPLES[name]), field)

@@ -176,7 +176,9 @@ def test_regression_on_neighbours_finds_a_law_that_its_features_have(
     assert not found[~shown].any()
 
 
-def test_without_the_network_the_mean_person_is_said_and_the_network_stays_as_it_was() -> None:
+def test_without_the_network_the_mean_person_is_the_answer_and_the_network_stays_as_it_was() -> (
+    None
+):
     torch.manual_seed(0)
     network = WholeFaceNetwork(WholeFaceConfig(16, 16, width=2, halvings=1, modes=2)).eval()
     torch.nn.init.normal_(network.here.weight)

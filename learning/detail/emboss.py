@@ -25,8 +25,8 @@ def embossed(mesh: Mesh, height_mm: np.ndarray, times: int) -> Mesh:
         times: 0 or more.
 
     Returns:
-        The mesh with its UV. A vertex on a seam has the mean of what its sides say, so that the
-        surface stays closed.
+        The mesh with its UV. A vertex on a seam has the mean of the heights on its sides, so that
+        the surface stays closed.
 
     Raises:
         MapsError: a mesh without UV, or more triangles than `MOST_TRIANGLES`.
@@ -50,9 +50,9 @@ def embossed(mesh: Mesh, height_mm: np.ndarray, times: int) -> Mesh:
         corners, edges = _split(len(uvs), corners)
         uvs = np.concatenate([uvs, uvs[edges].mean(axis=1)])
         triangles = split
-    said = sample_bilinear(np.asarray(height_mm, float)[..., None], uvs)[:, 0]
+    sampled = sample_bilinear(np.asarray(height_mm, float)[..., None], uvs)[:, 0]
     total, count = np.zeros(len(vertices)), np.zeros(len(vertices))
-    np.add.at(total, triangles.ravel(), said[corners.ravel()])
+    np.add.at(total, triangles.ravel(), sampled[corners.ravel()])
     np.add.at(count, triangles.ravel(), 1.0)
     moved = vertices + (total / np.maximum(count, 1))[:, None] * normals
     return dataclasses.replace(
@@ -78,7 +78,7 @@ def _split(count: int, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _rounded(ends: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """(e, 3) middles of edges, brought toward the planes of their ends' normals.
 
-    Without it the triangles of the mesh show as flats between which its heights lie.
+    Without it the triangles of the mesh show as flat facets under its heights.
 
     Args:
         ends: (e, 2, 3) places.

@@ -22,7 +22,7 @@ MOST_ROUNDS = 300
 LEAST_FACING = 0.2
 """Cosine between a fine normal and the mesh's below which the fine one determines no height."""
 SEAM = 10.0
-"""Times the median step between neighbours beyond which they lie on two sides of a seam."""
+"""Times the median step between neighbours beyond which they are on two sides of a seam."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +54,7 @@ def heights_mm(
     """Heights along the mesh's normals whose surface has the fine normals.
 
     A step e along the surface rises by -(n.e) / (n.m), n being the fine normal and m the mesh's:
-    then n stands on it. What the mesh's own normal would say of the same step is taken off.
+    so that it is perpendicular to n. The rise by the mesh's own normal is subtracted.
 
     Args:
         position_mm: (rows, columns, 3) of the mesh.

@@ -88,7 +88,7 @@ def evaluate_command(
         truth: processed folders or their atlases, one for each, or one for all of them: then the
             folders are of one person, and how far they agree is measured too.
         label: whose truth it is, of `LABELS`.
-        out: JSON to write; a table of the same name with .md stands beside it.
+        out: JSON to write; a table of the same name with .md is written beside it.
         progress: of the people.
         recognise: by which identity is measured; it is not without one.
 
@@ -155,7 +155,11 @@ def table(facts: dict[str, Any], means: dict[str, Interval]) -> str:
 
 
 def agreement(albedos: list[np.ndarray]) -> Interval:
-    """PSNR in dB between one person's albedos of several photographs, over pairs; sRGB."""
+    """PSNR in dB between one person's albedos of several photographs, over pairs.
+
+    Args:
+        albedos: (rows, columns, 3) linear each, 0 where nothing was found; compared as sRGB.
+    """
     values = []
     for index, one in enumerate(albedos):
         for other in albedos[:index]:

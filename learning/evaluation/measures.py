@@ -32,7 +32,7 @@ def albedo_measures(found: np.ndarray, true: np.ndarray, skin: np.ndarray) -> di
 
     Args:
         found: (rows, columns, 3) linear.
-        true: the same.
+        true: (rows, columns, 3) linear.
         skin: (rows, columns) bool, what is measured.
 
     Returns:
@@ -58,7 +58,14 @@ def albedo_measures(found: np.ndarray, true: np.ndarray, skin: np.ndarray) -> di
 def normal_measures(
     name: str, found: np.ndarray, true: np.ndarray, skin: np.ndarray
 ) -> dict[str, float]:
-    """Degrees between normals, mean and median, and PSNR of normals encoded as (n + 1) / 2."""
+    """Degrees between normals, mean and median, and PSNR of normals encoded as (n + 1) / 2.
+
+    Args:
+        name: of the map, with which the figures' names begin.
+        found: (rows, columns, 3).
+        true: (rows, columns, 3) unit.
+        skin: (rows, columns) bool, what is measured.
+    """
     mine, theirs = (unit(normals[skin].astype(float)) for normals in (found, true))
     known = (np.linalg.norm(mine, axis=1) > 0.5) & (np.linalg.norm(theirs, axis=1) > 0.5)
     if not known.any():
@@ -73,7 +80,13 @@ def normal_measures(
 
 
 def specular_measures(found: np.ndarray, true: np.ndarray, skin: np.ndarray) -> dict[str, float]:
-    """Root mean square error of specular albedo, and the same of the best constant."""
+    """Root mean square error of specular albedo, and the same of the best constant.
+
+    Args:
+        found: (rows, columns).
+        true: (rows, columns).
+        skin: (rows, columns) bool, what is measured.
+    """
     mine, theirs = found[skin].astype(float), true[skin].astype(float)
     return {
         "specular_rmse": float(np.sqrt(((mine - theirs) ** 2).mean())),
@@ -86,11 +99,11 @@ def ssim(found: np.ndarray, true: np.ndarray, where: np.ndarray) -> float:
 
     Args:
         found: (rows, columns, 3), 0..1.
-        true: the same.
+        true: (rows, columns, 3), 0..1.
         where: (rows, columns) bool.
 
     Returns:
-        The mean over texels and channels; NaN where no window lies within `where`.
+        The mean over texels and channels; NaN where no window is within `where`.
     """
     side = 2 * SSIM_REACH + 1
     whole = np.ones((side, side), np.uint8)

@@ -1,6 +1,6 @@
-"""What an ONNX file says of its inputs and outputs, read from its bytes (onnx.proto3).
+"""The inputs and outputs that an ONNX file states, read from its bytes (onnx.proto3).
 
-OpenCV runs such a file but does not tell what its inputs are.
+OpenCV runs such a file but does not report its inputs.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ def _value(data: memoryview) -> Value:
     shape = _only(_only(_only(data, 2), 1), 2)
     sizes: list[int | None] = []
     for dim in _messages(shape, 1):
-        told = [n for number, n in _fields(dim) if number == 1 and isinstance(n, int)]
-        # A size of zero, or one with the sign bit set, stands for one that is open.
-        sizes.append(told[-1] if told and 0 < told[-1] < 1 << 31 else None)
+        values = [n for number, n in _fields(dim) if number == 1 and isinstance(n, int)]
+        # A size of zero, or one with the sign bit set, means that it is open.
+        sizes.append(values[-1] if values and 0 < values[-1] < 1 << 31 else None)
     return Value(_text(data, 1), tuple(sizes))
 
 

@@ -11,7 +11,7 @@ from processing.colour import srgb_from_linear
 
 MIDDLE_MM = np.array([0.0, -15.0, 75.0])
 HEIGHT_MM = 187.0
-"""Middle and height of the picture in the head frame: eyes and mouth of the template lie where the
+"""Middle and height of the picture in the head frame: eyes and mouth of the template are where the
 aligned pictures of [Deng2019] have them, at .46 and .82 of the height."""
 DISTANCE_MM = 1100.0
 BACKGROUND = 0.2
@@ -41,7 +41,12 @@ def portrait(
 
 
 def portrait_camera(head_from_world: np.ndarray, size: tuple[int, int]) -> Camera:
-    """The camera of `portrait`, in the world."""
+    """The camera of `portrait`, in the world.
+
+    Args:
+        head_from_world: (3, 4) pose of the head, mm.
+        size: rows and columns of the picture.
+    """
     from_head = look_at(MIDDLE_MM + np.array([0, 0, DISTANCE_MM]), MIDDLE_MM)
     turn = from_head[:, :3] @ head_from_world[:, :3]
     shift = from_head[:, :3] @ head_from_world[:, 3] + from_head[:, 3]

@@ -27,7 +27,7 @@ LEAST_NUMBERS = 2
 
 @dataclasses.dataclass(frozen=True)
 class RecogniserRequest:
-    """What the user says of a recogniser.
+    """What the user states of a recogniser.
 
     Attributes:
         path: of the .onnx.
@@ -72,10 +72,10 @@ class Recogniser:
             raise RecogniserError(
                 request.path,
                 field="outputs",
-                found=_said(outputs),
+                found=_listed(outputs),
                 expected="one output, the embedding",
             )
-        with _said_as(request.path, "OpenCV cannot read it"):
+        with _opencv_errors_as_ours(request.path, "OpenCV cannot read it"):
             self._net: Any = cv2.dnn.readNetFromONNX(np.frombuffer(data, np.uint8))
         ramp = np.linspace(0.25, 1, self.size[0] * self.size[1] * 3, dtype=np.float32)
         self.embedding(ramp.reshape(*self.size, 3))
@@ -90,7 +90,9 @@ class Recogniser:
             RecogniserError: the network cannot take it, or gives NaN, nothing, or one number.
         """
         values = self._black + (self._white - self._black) * picture.astype(np.float32)
-        with _said_as(self._path, f"cannot take 1 x 3 x {self.size[0]} x {self.size[1]}"):
+        with _opencv_errors_as_ours(
+            self._path, f"cannot take 1 x 3 x {self.size[0]} x {self.size[1]}"
+        ):
             self._net.setInput(np.ascontiguousarray(values.transpose(2, 0, 1)[None]))
             found = np.ravel(self._net.forward()).astype(float)
         length = float(np.linalg.norm(found))
@@ -103,7 +105,7 @@ class Recogniser:
                 if found.size < LEAST_NUMBERS
                 else f"{wrong} numbers",
                 expected=f"at least {LEAST_NUMBERS} finite numbers that are not all zero",
-                hint="--recogniser-range says what black and white are to the network.",
+                hint="--recogniser-range gives the network's numbers of black and white.",
             )
         return found / length
 
@@ -121,7 +123,7 @@ def _size(request: RecogniserRequest, inputs: list[Value]) -> tuple[int, int]:
         raise RecogniserError(
             request.path,
             field="inputs",
-            found=_said(inputs),
+            found=_listed(inputs),
             expected="one input of 1 x 3 x rows x columns, a picture of red, green and blue",
         )
     rows, columns = shape[2] or request.size_px, shape[3] or request.size_px
@@ -150,21 +152,21 @@ def _size(request: RecogniserRequest, inputs: list[Value]) -> tuple[int, int]:
     return rows, columns
 
 
-def _said(values: list[Value]) -> str:
+def _listed(values: list[Value]) -> str:
     return ", ".join(map(str, values)) or "none"
 
 
 @contextmanager
-def _said_as(path: Path, what: str) -> Iterator[None]:
+def _opencv_errors_as_ours(path: Path, what: str) -> Iterator[None]:
     """OpenCV's errors as one of ours; it prints none of its own meanwhile."""
     before = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         yield
     except cv2.error as wrong:
-        said = " ".join(str(wrong.err).split())[:200]
+        message = " ".join(str(wrong.err).split())[:200]
         raise RecogniserError(
-            path, found=f"{what}: {said}", expected="a recogniser that OpenCV's dnn runs"
+            path, found=f"{what}: {message}", expected="a recogniser that OpenCV's dnn runs"
         ) from None
     finally:
         cv2.utils.logging.setLogLevel(before)

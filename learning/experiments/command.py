@@ -24,8 +24,8 @@ from learning.experiments.work import (
     SHADOWS,
     STOPPED,
     Order,
+    bake_shadows,
     one_run,
-    prepare,
 )
 from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
@@ -41,7 +41,7 @@ RUNS = "runs"
 OWN = (ABOUT, RUNS, SHADOWS, "report.*", "*.svg", "albedo.png", "full-size.json", ".*")
 """What an experiment's folder holds."""
 MAY_GROW = ("seeds",)
-"""What a later call may ask for otherwise: runs that are there stay what they are."""
+"""Configuration that a later call may change: it does not change runs that exist."""
 MOST_JOBS = 256
 REPORT_EVERY_S = 30.0
 WRITING_S = 20.0
@@ -50,12 +50,12 @@ WRITING_S = 20.0
 
 @dataclasses.dataclass(frozen=True)
 class ExperimentRequest:
-    """What `experiment` is asked for.
+    """The options of `experiment`.
 
     Attributes:
         name: of `EXPERIMENTS`.
         out: folder.
-        data: store; None where only a report is asked for.
+        data: store; None where only a report is wanted.
         size: of `config.SIZES`.
         config: TOML that overrides the size.
         seeds: in place of the size's.
@@ -88,14 +88,14 @@ class ExperimentRequest:
 
 
 def experiment_command(
-    request: ExperimentRequest, progress: ProgressCallback, tell: Callable[[str], None]
+    request: ExperimentRequest, progress: ProgressCallback, report: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Do an experiment, or go on with it; returns the facts.
+    """Do an experiment, or resume it; returns the facts.
 
     Args:
-        request: what is asked for.
+        request: the options.
         progress: of the runs.
-        tell: takes sentences for whoever waits, such as how long is left.
+        report: takes sentences for whoever waits, such as how long is left.
 
     Raises:
         LightstageError: bad input; nothing is written then. Runs that failed, in one message, once
@@ -120,15 +120,8 @@ def experiment_command(
     left = [order for order in orders if not order.finished]
     ended: list[str] = []
     if request.prepare:
-        differing = _differing(left)
-        done = 0
-        while done < len(differing) and not differing[done].over():
-            prepare(differing[done])
-            done += 1
-            progress(done, len(differing))
-        seconds = time.monotonic() - began
-        return {"prepared": done, "to_prepare": len(differing), "seconds": seconds}
-    tell(left_line(orders, left, request.jobs, config))
+        return _prepared(left, progress, began)
+    report(left_line(orders, left, request.jobs, config))
     reported = time.monotonic()
 
     def one_ended(order: Order, figures: dict[str, Any]) -> None:
@@ -138,11 +131,11 @@ def experiment_command(
             progress(len(ended), len(left))
         if time.monotonic() - reported > REPORT_EVERY_S:
             _write(request, orders[0].runs, experiment, config, notes)
-            tell(left_line(orders, [o for o in orders if not o.finished], request.jobs, config))
+            report(left_line(orders, [o for o in orders if not o.finished], request.jobs, config))
             reported = time.monotonic()
 
     if device.type == "cuda" and request.name == "ladder":
-        tell(measure_full_size(request.out, device, store))
+        report(measure_full_size(request.out, device, store))
     failed = run_all(left, request.jobs, request.scheduler, one_ended, one_run)
     _write(request, orders[0].runs, experiment, config, notes)
     if failed:
@@ -154,8 +147,8 @@ def _failure(errors: list[Exception]) -> Exception:
     """What a command whose runs failed ends with: a mistake of this software goes first."""
     ours = [error for error in errors if not isinstance(error, LightstageError)]
     # The same fault in fifty runs is reported once.
-    told = {str(error): error for error in errors if isinstance(error, LightstageError)}
-    return ours[0] if ours else one_error(list(told.values()))
+    mendable = {str(error): error for error in errors if isinstance(error, LightstageError)}
+    return ours[0] if ours else one_error(list(mendable.values()))
 
 
 def left_line(orders: list[Order], left: list[Order], jobs: int, config: ExperimentConfig) -> str:
@@ -169,16 +162,16 @@ def left_line(orders: list[Order], left: list[Order], jobs: int, config: Experim
             known.setdefault((order.variant.name, order.budget), []).append(figures["seconds"])
     each = [_expected(order, known, config) for order in left]
     sure = [value for value in each if value is not None]
-    said = f"{counted(len(left), 'run')} of {len(orders)} left"
+    count = f"{counted(len(left), 'run')} of {len(orders)} left"
     if not sure:
-        return f"{said}; how long they take is known once one is finished"
+        return f"{count}; how long they take is known once one is finished"
     # Those of which nothing is known yet take as long as the others.
     seconds = sum(sure) * len(each) / len(sure) / max(1, min(jobs, len(left)))
-    return f"{said}, about {time_words(seconds)}"
+    return f"{count}, about {time_words(seconds)}"
 
 
 def time_words(seconds: float) -> str:
-    """Seconds as a person says them."""
+    """Seconds in words, with a unit that suits them."""
     if seconds < 120:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} hours"
@@ -242,7 +235,7 @@ def _chosen(request: ExperimentRequest, experiment: Experiment) -> Experiment:
 
 
 def _possible(experiment: Experiment, halves: Halves) -> tuple[Experiment, list[str]]:
-    """The experiment without settings that the store has too few people for, and what to say."""
+    """The experiment without settings that need more people than the store has, and notes."""
     count = len(halves.trained)
     whole = tuple(v for v in experiment.variants if v.people <= count)
     left_out = [v.title for v in experiment.variants if v.people > count]
@@ -349,9 +342,17 @@ def _orders(
     ]
 
 
-def _differing(orders: list[Order]) -> list[Order]:
-    """One order of each setting and seed: a run's shadows are the same at any budget."""
-    return list({(order.variant.name, order.seed): order for order in orders}.values())
+def _prepared(left: list[Order], progress: ProgressCallback, began: float) -> dict[str, Any]:
+    """Bake the shadows of the runs that are left until it is time to stop; returns the facts."""
+    # One order of each setting and seed: a run's shadows are the same at any budget.
+    differing = list({(order.variant.name, order.seed): order for order in left}.values())
+    done = 0
+    while done < len(differing) and not differing[done].over():
+        bake_shadows(differing[done])
+        done += 1
+        progress(done, len(differing))
+    seconds = time.monotonic() - began
+    return {"prepared": done, "to_prepare": len(differing), "seconds": seconds}
 
 
 def runs_folder(out: Path) -> Path:
@@ -400,8 +401,8 @@ def _write(
     notes = [*notes, f"Code {runs.name}."]
     others = {path.name: n for path, n in _versions(request.out).items() if path.name != runs.name}
     if any(others.values()):
-        said = ", ".join(f"{count} of {name}" for name, count in others.items() if count)
-        notes.append(f"Runs of other code in this folder are not in the tables: {said}.")
+        listed = ", ".join(f"{count} of {name}" for name, count in others.items() if count)
+        notes.append(f"Runs of other code in this folder are not in the tables: {listed}.")
     line = full_size_line(request.out)
     return write_report(request.out, runs, experiment, config, [*notes, *([line] if line else [])])
 

@@ -14,30 +14,30 @@ class ExperimentConfig:
     """The size of an experiment; the defaults are those of `small`.
 
     Attributes:
-        published: networks, losses and rates of the presets `paper` and `avatarme` in place of
-            `demo` and `avatarme-small`; then `epochs` counts, and `steps`, `width` and the sizes of
-            patches and discriminators do not.
-        steps: of each training of equal steps; 0 for none of these.
-        seconds: of the steps of each training of equal time; 0 for none of these.
-        epochs: with `published`, in place of `steps`.
-        seeds: trainings of each setting that differ by their seed alone.
-        people: trained on, at most; 0 for all that are not held out.
-        held_out: people who are measured and never trained on, the last ones by name.
-        held_out_names: who is held out, in place of `held_out`.
-        train_names: who is trained on, in place of all others.
-        environments: lights that the people held out are measured in, from the first of
+        published: whether networks, losses and rates are those of the presets `paper` and
+            `avatarme` in place of `demo` and `avatarme-small`; then `epochs` holds, and `steps`,
+            `width` and the sizes of patches and discriminators do not.
+        steps: number of steps of each training of equal steps; 0 for none of these.
+        seconds: seconds of the steps of each training of equal time; 0 for none of these.
+        epochs: number of epochs, in place of `steps`, with `published`.
+        seeds: number of trainings of each setting, which differ by their seed alone.
+        people: number of people trained on, at most; 0 for all that are not held out.
+        held_out: number of people who are measured and never trained on, the last ones by name.
+        held_out_names: names of the people held out, in place of `held_out`.
+        train_names: names of the people trained on, in place of all others.
+        environments: number of lights in which the people held out are measured, from the first of
             `learning.experiments.lights.NAMES` on.
         patch_px: side of a patch; the blur of the texture's contrast grows with it.
-        width: of the generators.
-        discriminator_width: of the discriminators.
-        batch: patches of one step.
-        whole_width: of the whole-face network.
-        whole_batch: faces of one step.
-        shadow_sets: sets of lights of each scan whose shadows are baked.
+        width: channels of the generators.
+        discriminator_width: channels of the discriminators.
+        batch: number of patches of one step.
+        whole_width: channels of the whole-face network.
+        whole_batch: number of faces of one step.
+        shadow_sets: number of sets of lights of each scan whose shadows are baked.
         shadow_rows: rows of the grid on which shadows are baked.
-        render_weight: of the rendering loss, over a patch's norm.
-        refine_seconds: of the refinement of one texture, at most.
-        save_seconds: time between checkpoints of a training.
+        render_weight: weight of the rendering loss, over a patch's norm.
+        refine_seconds: seconds of the refinement of one texture, at most.
+        save_seconds: seconds between two checkpoints of a training.
     """
 
     published: bool = False

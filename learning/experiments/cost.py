@@ -37,7 +37,7 @@ def measure_full_size(out: Path, device: torch.device, store: Store) -> str:
     """Measure steps of the published networks on a device, unless they were measured before.
 
     Returns:
-        What to tell of it.
+        A sentence that states it.
     """
     if not (out / FILE).exists():
         try:

@@ -1,7 +1,7 @@
 """Many runs, several at once: in processes of this machine, or on the workers of a Dask scheduler.
 
 Each run is one task, whose folder says whether it is finished. Nothing else is remembered, so
-that a call which was killed, or which ran out of time, is taken up by the next one.
+that a call which was killed, or which ran out of time, is resumed by the next one.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def run_all(
                 "experiment",
                 found="a run's process that was killed",
                 expected="processes that end by themselves",
-                hint="Does the memory hold so many --jobs? The same call goes on.",
+                hint="Does the memory hold so many --jobs? The same call resumes the runs.",
             ) from None
     return failed
 
@@ -135,12 +135,12 @@ def _begin(parent: int) -> None:
     """Prepare a worker's process: it ends with the command that began it, however that ends."""
     raise_on_signals()
 
-    def look() -> None:
+    def end_with_parent() -> None:
         while os.getppid() == parent:
             time.sleep(LOOK_S)
         os._exit(1)
 
-    threading.Thread(target=look, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 @contextlib.contextmanager
@@ -162,11 +162,11 @@ def stop_file(out: Path) -> Path:
     return path
 
 
-def no_scheduler(address: str, said: str, version: str) -> ConfigError:
+def no_scheduler(address: str, reason: str, version: str) -> ConfigError:
     """Nothing answers at an address."""
     return ConfigError(
         "--scheduler",
-        found=f"nothing that answers at {address} ({said[:120]})",
+        found=f"nothing that answers at {address} ({reason[:120]})",
         expected="the address of a Dask scheduler, such as tcp://HOST:8786",
         hint="Start one with `dask scheduler`, and look whether its version of distributed is "
         f"{version}.",

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,10 @@ from learning.experiments.people import subject_of
 from learning.infer import Inferred
 from learning.maps import SHININESS, TRANSLUCENCY, from_batch, skin_maps_from, to_batch
 from learning.render.environments import Environment
+from learning.render.kept_shadows import shadows_of_scan
 from learning.render.occlusion import DOME_MM, PositionGrid, bake_grid, openness, sharpened
 from learning.render.shading import ShadeOptions, SkinMaps, shade, unit
-from learning.render.uv import texel_surface
+from learning.render.uv import grid_quads, texel_surface
 from learning.whole.faces import read_small
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import Mesh
@@ -81,12 +83,21 @@ class Measured:
     seconds: float
 
 
-def read_subjects(store: Store, names: set[str], shadow_rows: int) -> list[Subject]:
-    """One scan of each person of a store of `people.store_of`, the first one."""
+def read_subjects(
+    store: Store, names: set[str], shadow_rows: int, shadows: Path | None = None
+) -> list[Subject]:
+    """One scan of each person of a store of `people.store_of`, the first one.
+
+    Args:
+        store: the data.
+        names: of the people.
+        shadow_rows: rows of the grid on which shadows are baked, at most.
+        shadows: folder of kept shadows; None where they are baked each time.
+    """
     found: dict[str, Subject] = {}
     for scan in store.scans:
         if scan.subject in names and scan.subject not in found:
-            found[scan.subject] = _subject(store, scan.index, shadow_rows)
+            found[scan.subject] = _subject(store, scan.index, shadow_rows, shadows)
     return [found[name] for name in sorted(found)]
 
 
@@ -118,8 +129,8 @@ def measure(
         skin = _with(subject.skin, found)
         figures = map_errors(found, subject.maps, measured)
         for figure, light in ((SOURCE, name), (IN_TARGET, TARGET)):
-            said = _lit(skin, chosen[light], visibility[light])
-            figures[figure] = picture_error(said, truth[light], measured)
+            picture = _lit(skin, chosen[light], visibility[light])
+            figures[figure] = picture_error(picture, truth[light], measured)
         out.append(Measured(name, texture, found, figures, seconds))
         progress(done + 1, len(lights))
     return out
@@ -149,6 +160,11 @@ def map_errors(
 
     Diffuse albedo is sRGB-encoded, specular albedo over `SPECULAR_MOST`, and a normal is
     (n + 1) / 2, as a picture of it has it.
+
+    Args:
+        found: (rows, columns[, 3]) maps by the names of `MAPS`.
+        true: the same maps of the truth, of the same shapes.
+        measured: (rows, columns) bool, captured skin.
     """
     squares = {name: (_scaled(name, found[name]) - _scaled(name, true[name])) ** 2 for name in MAPS}
     each = {name: float(square[measured].mean()) for name, square in squares.items()}
@@ -170,7 +186,7 @@ def _scaled(name: str, values: np.ndarray) -> np.ndarray:
     return (values + 1) / 2
 
 
-def _subject(store: Store, scan: int, shadow_rows: int) -> Subject:
+def _subject(store: Store, scan: int, shadow_rows: int, shadows: Path | None) -> Subject:
     info, everything = store.scans[scan], slice(None)
     names = (*MAPS, "position", "confidence")
     maps = {name: store.read(scan, name, everything, everything) for name in names}
@@ -182,9 +198,9 @@ def _subject(store: Store, scan: int, shadow_rows: int) -> Subject:
     columns = max(2, round(rows * info.columns / info.rows))
     small, _ = read_small(store, scan, rows, columns)
     surface = texel_surface(small["position"], (small["position"] != 0).any(axis=2), smooth_px=1.0)
-    name = info.sha256 and f"{info.sha256} of all lights"
     there = (small["position"] != 0).any(axis=2)
-    grid = PositionGrid(small["position"], surface.normal, there, name)
+    kept = shadows_of_scan(shadows, info.sha256, "all lights")
+    grid = PositionGrid(small["position"], surface.normal, there, kept)
     ones = np.ones(covered.shape, np.float32)
     baked = bake_grid(grid, DOME_MM)
     maps["ambient_occlusion"] = _enlarged(openness(surface.normal, baked), covered.shape)
@@ -202,15 +218,10 @@ def texel_mesh(position_mm: np.ndarray, covered: np.ndarray) -> Mesh:
         covered: (rows, columns) bool.
     """
     rows, columns = covered.shape
-    index = np.full(covered.shape, -1, np.int32)
-    index[covered] = np.arange(int(covered.sum()))
-    corners = np.stack([index[1:, :-1], index[1:, 1:], index[:-1, 1:], index[:-1, :-1]], axis=-1)
-    corners = corners[(corners >= 0).all(axis=-1)]
-    points = position_mm[covered].astype(float)
-    around = points[corners]
-    span = np.linalg.norm(around - around[:, [1, 2, 3, 0]], axis=2).max(axis=1)
-    # Across a seam of the texture neighbours are far apart on the face.
-    faces = corners[span < 10 * np.median(span)].astype(np.int32)
+    vertex = np.cumsum(covered.ravel(), dtype=np.int32) - 1
+    position_mm = position_mm.astype(float)
+    faces = vertex[grid_quads(position_mm, covered)[:, [1, 2, 3, 0]]]
+    points = position_mm[covered]
     row, column = np.nonzero(covered)
     uvs = np.stack([(column + 0.5) / columns, 1 - (row + 0.5) / rows], axis=1)
     return Mesh(points, faces, uvs, faces)

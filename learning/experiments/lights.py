@@ -34,7 +34,7 @@ DIRECTIONS = {
 }
 """Toward the lamp, head frame."""
 DISTANCE_MM = 1500.0
-"""Where directional lamps stand for their shadows: far for a head."""
+"""Distance at which directional lamps are placed for their shadows: far for a head."""
 STRENGTH, AMBIENT = 0.9, 0.05
 """Of the directional lamp, and beside it from everywhere."""
 

@@ -65,7 +65,8 @@ def of_variant(
 ) -> tuple[str, ...]:
     """Who of the people trained on one setting takes.
 
-    A smaller number of people is drawn by the seed, so that seeds tell of the choice too.
+    A smaller number of people is drawn by the seed, so that the differences between seeds include
+    those between choices.
 
     Raises:
         TrainingError: fewer people than the setting is about.
@@ -140,7 +141,7 @@ def _require_known(store: Store, everyone: list[str], field: str, asked: tuple[s
 def _require_apart(store: Store, trained: tuple[str, ...], held_out: tuple[str, ...]) -> None:
     """Refuse a person of whom a network would know what it is measured on."""
     both = sorted(set(trained) & set(held_out))
-    hint = "A network knows whom it was trained on: its figures on them say nothing of others."
+    hint = "A network knows whom it was trained on: its figures on them do not hold for others."
     if both:
         raise TrainingError(
             store.path,

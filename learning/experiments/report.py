@@ -40,7 +40,7 @@ REPORT, FACTS, SHEET = "report.md", "report.json", "albedo.png"
 PAPER = "paper (another data set, another size)"
 NOT_DISTINGUISHED = "not distinguished"
 LEAST_SEEDS, LEAST_PEOPLE = 3, 5
-"""Below these a report says that its intervals are too narrow."""
+"""Below these a report warns that its intervals are too narrow."""
 WANTED_GAIN = 0.3
 """By which the last published step is to be below the first."""
 NAMES = {
@@ -128,10 +128,10 @@ def write_report(
         runs: folder of the runs of one version of the code.
         experiment: the settings.
         config: its size.
-        notes: what else to say, a sentence each.
+        notes: further sentences.
 
     Returns:
-        What report.json says.
+        The content of report.json.
     """
     lines = [f"# {experiment.title}", ""]
     facts: dict[str, Any] = {"schema": SCHEMA, "title": experiment.title, "budgets": {}}
@@ -141,8 +141,8 @@ def write_report(
         settings = settings_at(runs, experiment, budget, config.seeds)
         if not settings:
             continue
-        said, numbers = _at(out, experiment, budget, settings)
-        lines += [f"## At {AT[budget]}", "", *said]
+        sentences, numbers = _at(out, experiment, budget, settings)
+        lines += [f"## At {AT[budget]}", "", *sentences]
         facts["budgets"][budget] = numbers
     if not facts["budgets"]:
         lines += ["No run is finished yet.", ""]
@@ -220,28 +220,28 @@ def _compared(one: Setting, other: Setting) -> dict[str, Any]:
 
 def _too_few(seeds: int, people: int) -> list[str]:
     """What intervals over few seeds or people do not include."""
-    said = []
+    sentences = []
     if seeds < LEAST_SEEDS:
-        said.append(
+        sentences.append(
             f"{counted(seeds, 'seed')}: the intervals hardly include what another seed would give, "
-            "so that a difference which they tell from zero may be the seed's."
+            "so that a difference which they distinguish from zero may be the seed's."
         )
     if people < LEAST_PEOPLE:
         named = counted(people, "person", "people")
-        said.append(f"{named} held out: the intervals are too narrow for people in general.")
-    return said
+        sentences.append(f"{named} held out: the intervals are too narrow for people in general.")
+    return sentences
 
 
 def _sentences(budget: str, settings: list[Setting]) -> list[str]:
-    """What a reader of the paper asks first, in words."""
+    """The results that a reader of the paper looks for first, in words."""
     by_name = {setting.variant.name: setting for setting in settings}
-    said = []
+    sentences = []
     first, last = by_name.get("four"), by_name.get(LAST_PUBLISHED)
     if first is not None and last is not None and first.whole and last.whole:
         gain = 1 - last.spread(REFLECTANCE).mean / first.spread(REFLECTANCE).mean
         less = f"{abs(100 * gain):.0f} % {'below' if gain >= 0 else 'above'}"
         wanted = "as expected" if gain >= WANTED_GAIN else "not as expected"
-        said.append(
+        sentences.append(
             f"The last published step is {less} the first ({100 * WANTED_GAIN:.0f} % or more below "
             f"is expected): {wanted}."
         )
@@ -250,7 +250,7 @@ def _sentences(budget: str, settings: list[Setting]) -> list[str]:
         found, _, _ = paired(last.figures(REFLECTANCE), modern.figures(REFLECTANCE))
         where = "below" if found.mean < 0 else "above"
         sure = "" if found.distinguished else f", {NOT_DISTINGUISHED}"
-        said.append(
+        sentences.append(
             f"`modern` alone is {where} the last published step at {AT[budget]} by "
             f"{SCALE * abs(found.mean):.1f}{sure}."
         )
@@ -258,24 +258,24 @@ def _sentences(budget: str, settings: list[Setting]) -> list[str]:
         values, seeds, _ = table(setting.figures(REFLECTANCE))
         percent = over_seeds(values)
         if setting.variant.name == LAST_PUBLISHED and math.isfinite(percent):
-            said.append(
+            sentences.append(
                 f"Over {len(seeds)} seeds the standard deviation of {setting.variant.title} is "
                 f"{percent:.2f} % of its mean (the paper: 3.14 %, another data set, another size)."
             )
         diverged = len(setting.runs) - len(setting.whole)
         if diverged:
-            said.append(
+            sentences.append(
                 f"{diverged} of {counted(len(setting.runs), 'seed')} of {setting.variant.title} "
                 "diverged: the figures are of the others."
             )
-    return said
+    return sentences
 
 
 def _tones(settings: list[Setting]) -> list[str]:
     """Where settings leave tones out: the albedo's error on the lightest and the darkest person."""
     if not any(setting.variant.without for setting in settings):
         return []
-    said = []
+    sentences = []
     for setting in settings:
         figures = setting.figures("diffuse_albedo")
         tones = {p["name"]: p["tone_deg"] for run in setting.whole for p in run["people"]}
@@ -287,11 +287,11 @@ def _tones(settings: list[Setting]) -> list[str]:
             word: SCALE * float(np.mean([v for (_, who), v in figures.items() if who == name]))
             for word, name in ends.items()
         }
-        said.append(
+        sentences.append(
             f"{setting.variant.title}: albedo's error on the lightest person held out "
             f"{errors['lightest']:.1f}, on the darkest {errors['darkest']:.1f}."
         )
-    return said
+    return sentences
 
 
 def _numbers(setting: Setting) -> dict[str, Any]:

@@ -35,7 +35,11 @@ def table(figures: dict[tuple[int, str], float]) -> tuple[np.ndarray, list[int],
 
 
 def over_seeds(values: np.ndarray) -> float:
-    """Standard deviation over seeds of the mean over people, % of the mean; NaN of one seed."""
+    """Standard deviation over seeds of the mean over people, % of the mean; NaN of one seed.
+
+    Args:
+        values: (seeds, people), NaN where there is none.
+    """
     known = values[np.isfinite(values).all(axis=1)]
     if len(known) < 2:
         return float("nan")

@@ -52,7 +52,7 @@ class Experiment:
         title: of its report.
         across: name of the curve's axis; nothing where there is no curve.
         variants: in order; each is compared with the one before it.
-        budgets: of `STEPS` and `TIME`, the ones that are asked for where both are possible.
+        budgets: of `STEPS` and `TIME`, those of the experiment where both are possible.
     """
 
     title: str
@@ -120,7 +120,7 @@ def environments(config: ExperimentConfig) -> Experiment:
 
 
 def scenes(config: ExperimentConfig) -> Experiment:
-    """How far the environments of a training lie from its target."""
+    """How much the environments of a training differ from its target."""
     lit = {"render_weight": config.render_weight}
     found = []
     for position, camera, intensity in ((0, 0, 0), (50, 25, 25), (75, 50, 50)):
@@ -159,7 +159,7 @@ def encodings(config: ExperimentConfig) -> Experiment:
 
 
 def norms(config: ExperimentConfig) -> Experiment:
-    """The rendering loss's norm, which the paper does not say."""
+    """The rendering loss's norm, which the paper does not state."""
     lit = {"render_weight": config.render_weight}
     texels = {**lit, "render_norm": "texel"}
     # A patch's norm of even errors is the texels' times the patch's side.

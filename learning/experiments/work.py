@@ -6,7 +6,7 @@
     RUN/figures.json   what came of it; a run that has it is finished
     RUN/LIGHT.png      of the first seed: texture, albedo found, true albedo
 
-A run that was stopped goes on from its training's last checkpoint.
+A run that was stopped is resumed from its training's last checkpoint.
 """
 
 from __future__ import annotations
@@ -50,7 +50,6 @@ from learning.infer import infer
 from learning.patch_config import PatchConfig
 from learning.patch_light import target_environment
 from learning.render.environments import Environment, RandomLightConfig
-from learning.render.kept_shadows import shadows_kept_in
 from learning.run import METRICS, Run, TrainResult
 from learning.train import TRAINERS, train
 from learning.whole.infer import infer_whole_face
@@ -137,7 +136,7 @@ def run_name(variant: str, budget: str, seed: int) -> str:
 
 
 def one_run(order: Order) -> dict[str, Any]:
-    """Do a run, or go on with it; returns its figures, or that it was stopped.
+    """Do a run, or resume it; returns its figures, or that it was stopped.
 
     Raises:
         LightstageError: bad data, a device that is missing or full.
@@ -148,29 +147,27 @@ def one_run(order: Order) -> dict[str, Any]:
     if order.over():
         return {"state": STOPPED}
     try:
-        with shadows_kept_in(order.shadows):
-            return _run(order)
+        return _run(order)
     except KeyboardInterrupt:
         if not order.over():
             raise
         return {"state": STOPPED}
 
 
-def prepare(order: Order) -> None:
+def bake_shadows(order: Order) -> None:
     """Bake the shadows that a run needs, into the folder that all runs share; nothing is trained.
 
     A machine without Open3D, which casts them, can then do the run.
     """
-    with shadows_kept_in(order.shadows):
-        store, trained_on, held_out = _people(order)
-        config = _config(order, held_out)
-        shadowless = isinstance(config, PatchConfig) and not config.data.shadow_rows
-        if not order.variant.refines and not shadowless:
-            make, task_of = TRAINERS[config.family]
-            run = Run(order.folder, config, {}, 0, time.monotonic())
-            task_of(make(config), store, trained_on, held_out, run)
-        for subject in read_subjects(store, held_out, order.config.shadow_rows):
-            shadowed(subject, _target(order), _lights(order))
+    store, trained_on, held_out = _people(order)
+    config = _config(order, held_out)
+    shadowless = isinstance(config, PatchConfig) and not config.data.shadow_rows
+    if not order.variant.refines and not shadowless:
+        make, task_of = TRAINERS[config.family]
+        run = Run(order.folder, config, {}, 0, time.monotonic(), shadows=order.shadows)
+        task_of(make(config), store, trained_on, held_out, run)
+    for subject in read_subjects(store, held_out, order.config.shadow_rows, order.shadows):
+        shadowed(subject, _target(order), _lights(order))
 
 
 def _run(order: Order) -> dict[str, Any]:
@@ -251,7 +248,9 @@ def _trained(
         # A training counts its seconds anew in each call.
         left = config.seconds - read_checkpoint(folder).step_seconds
         config = dataclasses.replace(config, seconds=max(left, LEAST_SECONDS))
-    result: TrainResult[Any] = train(store, folder, config, resume, progress, device)
+    result: TrainResult[Any] = train(
+        store, folder, config, resume, progress, device, shadows=order.shadows
+    )
     # The first step compiles loops, which is no part of a training's time.
     some = len(ticks) > 1
     each = (ticks[-1] - ticks[0]) / (len(ticks) - 1) if some else result.step_seconds
@@ -283,15 +282,16 @@ def _measured(
     order: Order, store: Store, held_out: set[str], device: torch.device
 ) -> dict[str, Any]:
     """Figures on the people held out, in all lights; pictures of the first seed's first person."""
-    ask = _asked(order, order.source / TRAINING, device)
+    infer_maps = _inference_of(order, order.source / TRAINING, device)
     originals = open_store(order.data)
     tones = tones_of(originals, tuple(map(subject_of, held_out)))
     people: list[dict[str, Any]] = []
     seconds: list[float] = []
-    for index, subject in enumerate(read_subjects(store, held_out, order.config.shadow_rows)):
+    subjects = read_subjects(store, held_out, order.config.shadow_rows, order.shadows)
+    for index, subject in enumerate(subjects):
         if order.over():
             raise KeyboardInterrupt
-        found = measure(subject, _target(order), _lights(order), ask)
+        found = measure(subject, _target(order), _lights(order), infer_maps)
         seconds += [one.seconds for one in found]
         each = {one.light: one.figures for one in found}
         people.append({"name": subject.name, "tone_deg": tones[subject.name], "lights": each})
@@ -301,11 +301,11 @@ def _measured(
                     _write_picture(order.folder, one, subject.maps["diffuse_albedo"])
     values = [f[name] for p in people for f in p["lights"].values() for name in FIGURES]
     wrong = not all(map(math.isfinite, values))
-    said = {"state": DIVERGED, "said": "figures that are not finite"} if wrong else {}
-    return {"people": people, "infer_seconds": float(np.median(seconds)), **said}
+    diverged = {"state": DIVERGED, "said": "figures that are not finite"} if wrong else {}
+    return {"people": people, "infer_seconds": float(np.median(seconds)), **diverged}
 
 
-def _asked(order: Order, run: Path, device: torch.device) -> Infer:
+def _inference_of(order: Order, run: Path, device: torch.device) -> Infer:
     """What the run's network finds of a texture."""
     family = read_checkpoint(run).family
     pose = np.eye(3, 4)
@@ -337,7 +337,7 @@ def _write_picture(folder: Path, found: Measured, true: np.ndarray) -> None:
 
 
 def _tidy(order: Order) -> None:
-    """Keep the training's curves, and its weights where they are asked for."""
+    """Keep the training's curves, and its weights where the order keeps them."""
     training = order.folder / TRAINING
     if (training / METRICS).exists():
         shutil.copyfile(training / METRICS, order.folder / METRICS)

@@ -61,8 +61,8 @@ def export_command(
         mesh: of the maps; registered_mesh.obj beside them where None.
         formats: of `FORMATS`, with commas.
         out: folder to make.
-        template: whose expressions become morph targets, and whose exponents stand for a map of
-            roughness that is missing.
+        template: whose expressions become morph targets, and whose exponents replace a missing map
+            of roughness.
         compare: other maps of the same mesh, such as inferred ones, for the page's slider.
         progress: of the formats.
         replace: an earlier export in `out`.
@@ -128,7 +128,7 @@ def export_command(
 
 
 def _morphs(source: Source, template: Path | None) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Morph targets of a template, and what to say of them."""
+    """Morph targets of a template, and notes for the user."""
     if template is None:
         return {}, []
     pose = ProcessedFolder(source.folder.parent).head_pose

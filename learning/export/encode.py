@@ -31,12 +31,12 @@ Curve = Callable[[np.ndarray], np.ndarray]
 
 
 def srgb(values: np.ndarray) -> np.ndarray:
-    """Linear light to sRGB's 0..1; what is brighter than white is white."""
+    """(...) linear light to sRGB's 0..1; values above white become white."""
     return np.asarray(srgb_from_linear(np.clip(values, 0, 1)))
 
 
 def perceptual(roughness: np.ndarray) -> np.ndarray:
-    """Beckmann's m to the roughness that glTF, Blender and Unreal square to GGX's alpha.
+    """(...) Beckmann's m to the roughness that glTF, Blender and Unreal square to GGX's alpha.
 
     Both distributions have the same height in their middle where alpha = m [Walter2007].
     """
@@ -44,12 +44,12 @@ def perceptual(roughness: np.ndarray) -> np.ndarray:
 
 
 def level(specular_albedo: np.ndarray) -> np.ndarray:
-    """Specular albedo to the level of a principled shader."""
+    """(...) specular albedo to the level of a principled shader."""
     return specular_albedo / SPECULAR_WHITE
 
 
 def plain(values: np.ndarray) -> np.ndarray:
-    """A share as it is."""
+    """(...) shares, unchanged."""
     return values
 
 

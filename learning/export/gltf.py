@@ -70,7 +70,7 @@ def unit_normals(source: Source) -> np.ndarray:
 
 
 class Buffer:
-    """The binary part: views of it, and accessors that say what they hold."""
+    """The binary part: views of it, and accessors that describe their contents."""
 
     def __init__(self) -> None:
         """Empty."""

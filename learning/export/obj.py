@@ -35,7 +35,7 @@ def write_pictures(folder: Path, pictures: Pictures) -> dict[str, str]:
 def write_obj_material(path: Path, source: Source, paths: dict[str, str]) -> Path:
     """Write PATH.obj and PATH.mtl.
 
-    The material says the same twice: as Blinn and Phong's, which every reader takes, and by the
+    The material is given twice: as Blinn and Phong's, which every reader takes, and by the
     extension for physical materials (Pr, Pm, norm), which Blender and others read.
 
     Args:

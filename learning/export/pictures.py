@@ -25,11 +25,11 @@ NORMAL = "specular_normal"
 light are blurred by what scatters in the skin, which a renderer with subsurface adds by itself; a
 material that takes two normals finds the other in the maps."""
 CONSTANT_ROUGHNESS = float(np.sqrt(2 / (SHININESS + 2)))
-"""Beckmann's m where no map says: that of the renderer's constant exponent."""
+"""Beckmann's m where there is no map: that of the renderer's constant exponent."""
 
 
 class Pictures:
-    """A head's pictures, made when they are first asked for; the bytes of PNG files, rows down."""
+    """A head's pictures, made when they are first read; the bytes of PNG files, rows down."""
 
     def __init__(self, source: Source) -> None:
         """Nothing is computed yet."""

@@ -34,7 +34,7 @@ Unreal Engine, shading model Subsurface Profile (or Substrate skin)
   Subsurface profile  mean free path colour 1, 0.35, 0.15; distance 0.14 cm
   A material with a second normal for the diffuse light takes normal_diffuse there.
 
-What no such material says
+What no such material has
   The roughness was measured with Beckmann's distribution; GGX of the same middle has longer tails,
   so highlights look a little softer. The index of skin is {INDEX:g}: F0 = {F0:.4f}.
 """
@@ -89,7 +89,7 @@ def readme(
         lines += ["", "maps/        16-bit PNG, half-float OpenEXR", ""]
         lines.append(f"  {'file':<20}{'the PNG stores':<36}the OpenEXR file holds")
         lines += [f"  {name:<20}{stores:<36}{exr}" for name, stores, exr in maps]
-        lines.append("  PNG values 0..65535 stand for 0..1; the step is 1/65535 of what is stored.")
+        lines.append("  PNG values 0..65535 mean 0..1; the step is 1/65535 of what is stored.")
     if notes:
         lines += ["", *(f"Note: {note}." for note in notes)]
     return "\n".join([*lines, "", RECIPE])

@@ -61,11 +61,11 @@ class Source:
 
     @property
     def covered(self) -> np.ndarray:
-        """(rows, columns) bool, where the mesh lies."""
+        """(rows, columns) bool, where the mesh is."""
         return self.raster.face >= 0
 
     def spread(self, image: np.ndarray) -> np.ndarray:
-        """A map whose texels beside the surface show the nearest one on it."""
+        """A (rows, columns[, 3]) map; texels beside the surface get the nearest one's value."""
         flat = image.reshape(len(self.nearest.ravel()), -1)
         return flat[self.nearest.ravel()].reshape(image.shape)
 
@@ -99,14 +99,14 @@ def maps_folder(given: Path) -> Path:
 
 
 def read_source(given: Path, mesh: Path | None = None, template: Path | None = None) -> Source:
-    """Read a processed folder, or a folder of maps and the mesh that they lie on.
+    """Read a processed folder, or a folder of maps and the mesh that they belong to.
 
     Args:
         given: a processed folder, a fit or an avatar (its atlas is taken), an atlas, or maps of
             `infer`.
         mesh: with the maps' UV, in the axes of their normals; registered_mesh.obj beside the maps
             where None.
-        template: whose exponents tell the roughness where no map does.
+        template: whose exponents give the roughness where no map does.
 
     Raises:
         MapsError: no mesh, one without UV or not in mm; maps that are missing, of other sizes,
@@ -143,7 +143,7 @@ def read_source(given: Path, mesh: Path | None = None, template: Path | None = N
             root = np.sqrt(2 / (cv2.resize(shininess, (columns, rows)) + 2))
             maps["roughness"] = root.astype(np.float16)
     if "roughness" not in maps:
-        notes.append("no map of roughness: one number stands for the whole face")
+        notes.append("no map of roughness: the whole face has one number")
     if not np.any(maps["specular_albedo"]):
         notes.append("specular_albedo is 0 everywhere: nothing shines")
     frames = tangent_frames(shape.vertices, triangles, shape.uvs, corners, normals)
@@ -206,16 +206,16 @@ def _require_same(
     folder: Path,
     where: Path,
 ) -> None:
-    """Refuse maps that were made on another mesh: compared where both tell something."""
+    """Refuse maps that were made on another mesh, by the texels that both have."""
     texels = np.flatnonzero(raster.face.ravel() >= 0)
     texels = texels[:: max(1, len(texels) // CHECKED)]
     triangles = mesh.triangles()
     hint = "Give the mesh that the maps were made on, or the maps of this one."
     if "position" in maps:
-        told = maps["position"].reshape(-1, 3)[texels].astype(np.float64)
+        stored = maps["position"].reshape(-1, 3)[texels].astype(np.float64)
         here = raster.at(mesh.vertices, triangles, texels)
-        known = (told != 0).any(axis=1)
-        off = np.linalg.norm(told - here, axis=1)[known]
+        known = (stored != 0).any(axis=1)
+        off = np.linalg.norm(stored - here, axis=1)[known]
         if off.size and np.median(off) > FARTHEST_MM:
             raise MapsError(
                 folder / "position.exr",
@@ -225,12 +225,12 @@ def _require_same(
             )
     there = raster.at(normals, triangles, texels)
     for name in ("diffuse_normal", "specular_normal"):
-        told = maps[name].reshape(-1, 3)[texels].astype(np.float64)
-        length = np.linalg.norm(told, axis=1)
+        stored = maps[name].reshape(-1, 3)[texels].astype(np.float64)
+        length = np.linalg.norm(stored, axis=1)
         known = length > 1e-3
         if not known.any():
             continue
-        cosine = np.einsum("kc,kc->k", told, there)[known] / length[known]
+        cosine = np.einsum("kc,kc->k", stored, there)[known] / length[known]
         off_deg = float(np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))))
         if off_deg > FARTHEST_DEG:
             raise MapsError(

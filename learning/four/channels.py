@@ -1,4 +1,4 @@
-"""What each of the four networks sees and says, as channels in -1..1 [Lattas2020]."""
+"""Inputs and outputs of each of the four networks, as channels in -1..1 [Lattas2020]."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ PARTS: dict[str, tuple[int, slice]] = {
     DIFFUSE_NORMAL: (4, slice(4, 7)),
     SPECULAR_NORMAL: (4, slice(7, 10)),
 }
-"""Input channels of each network, and what it says of a patch's ten channels; in the order in which
-they follow from each other."""
+"""Input channels of each network, and its output among a patch's ten channels; each may take what
+those before it found."""
 DEPTH_MM = 150.0
-"""Depth that stands for 1: from the head's middle, toward the front; a head has up to about 130."""
+"""Depth, encoded as 1: from the head's middle toward the front; a head has up to about 130."""
 LUMA = (0.2126, 0.7152, 0.0722)
 """Shares of encoded red, green and blue in a grey picture [IEC61966]."""
 
@@ -59,7 +59,7 @@ class Seen:
 
         Texture and depth; the diffuse albedo; its grey and the shape's normals, in the head's axes
         or, of specular normals, in tangent space. That is here the frame of the shape without its
-        folds, in which the shape's own normals tell of them.
+        folds, in which the shape's own normals show them.
 
         Args:
             part: of `PARTS`.
@@ -82,7 +82,7 @@ class Seen:
 
 def seen_of(batch: Batch) -> Seen:
     """What is known of a batch of patches."""
-    # Normals stand in the published input as they are.
+    # The published input holds normals as they are.
     shape = batch.inputs[:, 3:6]
     given = (batch.texture, batch.covered, batch.skin.position_mm, shape, batch.smooth_normal)
     return Seen(*given, batch.reference)
@@ -103,7 +103,7 @@ def pairs(batch: Batch) -> dict[str, Batch]:
 
 
 def one_after_the_other(say: Callable[[str, Tensor], Tensor], seen: Seen) -> Reflectance:
-    """What the networks say of a texture, each given what those before it found.
+    """The networks' answer for a texture, each given what those before it found.
 
     Args:
         say: a part and its input channels to its output channels.

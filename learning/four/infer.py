@@ -31,8 +31,8 @@ def infer_four(
 ) -> Inferred:
     """Infer a texture's reflectance with networks in evaluation mode.
 
-    Arguments, errors and what is returned are as of `learning.infer.infer`; `progress` counts the
-    tiles of all networks.
+    Arguments (shapes too), errors and what is returned are as of `learning.infer.infer`; `progress`
+    counts the tiles of all networks.
     """
     given = prepare(data, texture, mesh, head_from_mesh, named)
     spread: list[Tensor] = []

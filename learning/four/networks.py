@@ -18,7 +18,7 @@ from learning.networks.generator import Generator, GeneratorConfig
 class FourNetworks(nn.ModuleDict):
     """A generator for each of `PARTS`, by its name."""
 
-    def said(self, batch: Batch) -> Reflectance:
+    def answers(self, batch: Batch) -> Reflectance:
         """What they find on patches, each given what those before it found."""
         return one_after_the_other(self.say, seen_of(batch))
 

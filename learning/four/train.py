@@ -67,7 +67,7 @@ class FourTrainer(Trainer[FourTrainConfig, Batch]):
 
     def answers(self) -> Callable[[Batch], Reflectance]:
         """What the networks find on patches, each given what those before it found."""
-        return self.trained.said
+        return self.trained.answers
 
     def set_rate(self, done: float, _: int = 0) -> float:
         """See `Trainer`."""
@@ -78,13 +78,13 @@ class FourTrainer(Trainer[FourTrainConfig, Batch]):
         losses: dict[str, float] = {}
         for part, pair in pairs(batch).items():
             trainer = self.trainers[part]
-            said = trainer.step(pair, number)
+            part_losses = trainer.step(pair, number)
             # The next network's step needs the room: at full width 0.7 GB.
             trainer.generator.zero_grad(set_to_none=True)
-            losses |= {f"{part}.{name}": value for name, value in said.items()}
+            losses |= {f"{part}.{name}": value for name, value in part_losses.items()}
         return {**losses, "error": sum(losses[f"{part}.error"] for part in PARTS)}
 
-    def kept(self, batch: Batch) -> dict[str, Tensor]:
+    def batch_tensors(self, batch: Batch) -> dict[str, Tensor]:
         """See `Trainer`."""
         drawn = pairs(batch)
         kept = {f"{part}.inputs": pair.inputs for part, pair in drawn.items()}

@@ -16,18 +16,19 @@ class LitPatchesConfig:
 
     Attributes:
         patch_px: side of a patch.
-        textures: lit textures that patches are cut from before the first step.
-        of_each: patches of each texture; all are held in memory, 1 MB each at 128 texels.
-        min_known: smallest share of a patch that must tell of skin.
-        mirrored_share: part of the patches that are mirrored left to right.
-        lamp_deg: standard deviation of the error with which a lamp is found, in degrees.
-        strength: the same of a light's strength, natural logarithm.
-        shadow_px: the same of the place of a shadow's edge, in texels.
-        noise: the same of a texel, natural logarithm.
-        contrast: least and most factor of the detail of a person's albedo: our people's is 0.02 of
-            the albedo, a scanned head's 0.06.
-        held_out_subjects: people, the last ones by name, who are scored and never trained on.
-        shadow_sets: sets of lights of each scan whose shadows are baked.
+        textures: number of lit textures from which patches are cut before the first step.
+        of_each: number of patches of each texture; all are held in memory, 1 MB each at 128 texels.
+        min_known: smallest share of a patch's texels that must show skin.
+        mirrored_share: share of the patches that are mirrored left to right.
+        lamp_deg: standard deviation of the error of a lamp's direction, degrees.
+        strength: standard deviation of the error of a light's strength, natural logarithm.
+        shadow_px: standard deviation of the error of the place of a shadow's edge, texels.
+        noise: standard deviation of the noise of a texel, natural logarithm.
+        contrast: smallest and largest factor of the detail of a person's albedo: our people's
+            detail is 0.02 of the albedo, a scanned head's 0.06.
+        held_out_subjects: number of people, the last ones by name, who are scored and never trained
+            on.
+        shadow_sets: number of sets of lights of each scan whose shadows are baked.
     """
 
     patch_px: int = 96
@@ -49,11 +50,11 @@ class MesostructureTrainConfig(TrainingConfig):
     """A training on patches of lit textures, by Adam; its rate falls as a cosine.
 
     Attributes:
-        network: its size.
-        patches: which patches.
-        steps: of the training.
-        shading_weight: of the shading's squared error, beside that of the tilts.
-        score_lights: environments under which each held-out scan is scored.
+        network: the network's size.
+        patches: the patches that are trained on.
+        steps: number of steps.
+        shading_weight: weight of the shading's squared error, where that of the tilts has 1.
+        score_lights: number of environments under which each held-out scan is scored.
     """
 
     family: ClassVar[str] = "mesostructure"

@@ -1,7 +1,7 @@
-"""Patches of lit textures: what they tell of tilts, and the true ones.
+"""Patches of lit textures: the network's input, and the true tilts.
 
-A texture's light is never found exactly: its lamps stand elsewhere by some degrees, are stronger or
-weaker, and edges of shadows lie some texels beside the true ones. So is the light by which these
+A texture's light is never found exactly: its lamps are off by some degrees, are stronger or
+weaker, and edges of shadows are some texels beside the true ones. So is the light by which these
 textures are divided.
 """
 
@@ -34,7 +34,7 @@ FACETS = ShadeOptions("ggx")
 ACROSS = (3, 5)
 """Channels of the evidence that change their sign in a mirror."""
 SAID_ACROSS = (0, 2)
-"""The same of what a network says."""
+"""The same of a network's output."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,7 +93,7 @@ class PatchPool:
             raise TrainingError(
                 store.path,
                 field=f"patches of {config.patch_px} texels",
-                found=f"none that tells of skin in {100 * config.min_known:.0f} % of it",
+                found=f"none that shows skin in {100 * config.min_known:.0f} % of it",
                 expected="at least one",
                 hint=f"Lower patches.patch_px, {config.patch_px}. Or are the maps empty?",
             )

@@ -73,7 +73,7 @@ def frame_of(normal: np.ndarray, position_mm: np.ndarray, covered: np.ndarray) -
         covered: (rows, columns) bool.
 
     Returns:
-        Finite everywhere. Where neighbours do not tell how the texture lies, `across` is any
+        Finite everywhere. Where neighbours do not show the texture's direction, `across` is any
         direction in the surface.
     """
     step = np.zeros_like(position_mm, dtype=np.float32)

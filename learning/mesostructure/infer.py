@@ -82,10 +82,10 @@ def find(
     there = _resized(known.astype(np.float32), size) > 0.999
     detail = detail_of(_resized(np.log(unlit), size), there)
     given = evidence(detail, _resized(slope, size), _resized(level, size), there)
-    said = in_tiles(trained, given) * there[..., None]
+    output = in_tiles(trained, given) * there[..., None]
     if size != (rows, columns):
-        said = _resized(said, (rows, columns)) * known[..., None]
-    return Found(said[..., :2], said[..., 2:4], said[..., 4:])
+        output = _resized(output, (rows, columns)) * known[..., None]
+    return Found(output[..., :2], output[..., 2:4], output[..., 4:])
 
 
 def in_tiles(
@@ -99,7 +99,7 @@ def in_tiles(
     if trained.device != CPU:
         network = copy.deepcopy(network).to(trained.device)
     rows, columns = given.shape[:2]
-    said = np.zeros((rows, columns, network.last.out_channels), np.float32)
+    output = np.zeros((rows, columns, network.last.out_channels), np.float32)
     with torch.inference_mode():
         for top in range(0, rows, tile_px):
             for left in range(0, columns, tile_px):
@@ -110,8 +110,8 @@ def in_tiles(
                 seen = given[first : top + tile_px + reach, begin : left + tile_px + reach]
                 answer = moved(network(to_batch(seen).to(trained.device)), CPU)
                 inner = from_batch(answer)[top - first :, left - begin :]
-                said[here] = inner[: said[here].shape[0], : said[here].shape[1]]
-    return said
+                output[here] = inner[: output[here].shape[0], : output[here].shape[1]]
+    return output
 
 
 def _resized(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:

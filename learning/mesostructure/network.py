@@ -32,7 +32,7 @@ class MesostructureConfig:
 class Mesostructure(nn.Module):
     """Evidence (see `learning.mesostructure.evidence`) to tilts and shading.
 
-    An untrained network says that all detail is skin: no tilt, no shading.
+    By an untrained network all detail is skin: no tilt, no shading.
     """
 
     def __init__(self, config: MesostructureConfig) -> None:
@@ -58,5 +58,5 @@ class Mesostructure(nn.Module):
         features = torch.relu(self.first(given))
         for layer in self.inner:
             features = features + torch.relu(layer(features))
-        said: Tensor = self.last(features) * given[:, -1:]
-        return said
+        output: Tensor = self.last(features) * given[:, -1:]
+        return output

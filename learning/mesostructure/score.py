@@ -67,15 +67,15 @@ def score_patches(network: Mesostructure, held_out: PatchPool) -> MesostructureS
         some = held_out.patches[first : first + AT_ONCE]
         given, true, weight = (torch.stack([p[i] for p in some]).float() for i in range(3))
         with torch.inference_mode():
-            said = moved(network(given.to(device)), CPU)
+            output = moved(network(given.to(device)), CPU)
         skin = weight[:, 0] > 0
         shading = true[:, 4:]
         each = (
-            angle_deg(said[:, :2], true[:, :2]),
-            angle_deg(said[:, 2:4], true[:, 2:4]),
+            angle_deg(output[:, :2], true[:, :2]),
+            angle_deg(output[:, 2:4], true[:, 2:4]),
             angle_deg(0 * true[:, :2], true[:, :2]),
             angle_deg(0 * true[:, 2:4], true[:, 2:4]),
-            (said[:, 4:] - shading).square().mean(dim=1),
+            (output[:, 4:] - shading).square().mean(dim=1),
             shading.square().mean(dim=1),
         )
         sums += [float(values[skin].sum()) for values in each]

@@ -2,8 +2,8 @@
 
 What decides an inferred albedo is the person's tone, which no patch shows: it follows from the
 whole face, its shading and its colour. So this network sees all of it at once, in 96 x 64 texels.
-It says how the logarithm of the albedo differs from the mean person's, place by place and by one
-colour for all of the face; an untrained one says the mean person.
+Its output is the difference of the albedo's logarithm from the mean person's, place by place and by
+one colour for all of the face; that of an untrained one is the mean person.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SAID_CHANNELS = 4
 BANDS = 4
 """Bands of a texture's detail, of each of which a share is added (see learning.whole.detail)."""
 DARKEST = 1e-3
-"""Linear value below which a colour's logarithm says nothing more."""
+"""Linear value below which a colour's logarithm is cut off."""
 POSITION_MM = 100.0
 """Unit of positions, so that they are about as large as normals are."""
 UNSURE = 0.3
@@ -74,7 +74,7 @@ class KnownPeople:
 
 @dataclasses.dataclass(frozen=True)
 class WholeFace:
-    """What the network says of a face.
+    """The network's answer for a face.
 
     Attributes:
         diffuse_albedo: (B, 3, rows, columns) linear.
@@ -134,7 +134,7 @@ class WholeFaceNetwork(nn.Module):
             if layer.bias is not None:
                 nn.init.zeros_(layer.bias)
 
-    def keep(self, people: KnownPeople) -> None:
+    def set_people(self, people: KnownPeople) -> None:
         """Keep what the people trained on have in common."""
         self.mean_log_albedo.copy_(people.log_albedo)
         self.mean_log_specular.copy_(people.log_specular)
@@ -143,7 +143,7 @@ class WholeFaceNetwork(nn.Module):
         self.mode_deviations.copy_(people.deviations)
 
     def along_modes(self, beside: Tensor, weight: Tensor) -> Tensor:
-        """Where albedos lie along the modes, in people's standard deviations.
+        """Where albedos are along the modes, in people's standard deviations.
 
         Args:
             beside: (n, 3, rows, columns) natural logarithms less the mean person's, on the
@@ -176,7 +176,7 @@ class WholeFaceNetwork(nn.Module):
             )
             found = layer(torch.cat([larger, beside], dim=1))
         change = self.here(found) + colour
-        # What is said stays what the squared error makes of it: the expected error looks on.
+        # The answer is trained by the squared error alone: the expected error does not change it.
         seen = torch.cat([found, change], dim=1).detach()
         low, high = DEVIATION
         deviation = low * (high / low) ** torch.sigmoid(self.unsure(seen))

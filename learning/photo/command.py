@@ -49,7 +49,7 @@ MOST_PHOTOGRAPHS = 32
 
 @dataclasses.dataclass(frozen=True)
 class FitRequest:
-    """What `fit` is asked for.
+    """The options of `fit`.
 
     Attributes:
         photographs: of one person; the first gives the texture.
@@ -57,7 +57,7 @@ class FitRequest:
         out: folder to make.
         landmarks: file with the points of each photograph; detected where None.
         face: which face of a photograph, the largest is 1.
-        film_mm: 35 mm equivalent of the focal length, in place of what the files tell.
+        film_mm: 35 mm equivalent of the focal length, in place of what the files state.
         checkpoint: a run of a whole-face network; the shipped weights where None.
         rows: of the texture; the configuration's where None.
         refine: seconds; the configuration's where None.
@@ -115,7 +115,7 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
 
 
 def read_all(request: FitRequest, template: Template) -> tuple[list[Photograph], Places, list[str]]:
-    """The photographs with their landmarks, where these lie on the template, and notes."""
+    """The photographs with their landmarks, where these are on the template, and notes."""
     paths = request.photographs
     if not 1 <= len(paths) <= MOST_PHOTOGRAPHS:
         raise ConfigError(
@@ -132,7 +132,7 @@ def read_all(request: FitRequest, template: Template) -> tuple[list[Photograph],
         photographs.append(Photograph(path.name, rgb, points, focal))
         if focal is None:
             notes.append(
-                f"{path.name} does not tell its focal length: it was fitted, and the face's depth "
+                f"{path.name} does not state its focal length: it was fitted, and the face's depth "
                 "is less certain (--focal-35mm)"
             )
     return photographs, marks.places, notes
@@ -142,7 +142,7 @@ class Marks:
     """Landmarks of photographs: from a file, or detected."""
 
     def __init__(self, request: FitRequest, template: Template) -> None:
-        """The template must know where the scheme's points lie.
+        """The template must have the places of the scheme's points.
 
         Raises:
             MapsError: a template without the detector's points.
@@ -150,11 +150,11 @@ class Marks:
         """
         self._face = request.face
         self._file = request.landmarks
-        self._told: dict[str, np.ndarray] = {}
+        self._stated: dict[str, np.ndarray] = {}
         scheme = FACE_MESH
         if self._file is not None:
             scheme = str(read_json(self._file, "lightstage.landmarks/1").get("scheme"))
-            self._told = read_points_px(self._file, scheme if scheme == FACE_MESH else IBUG)
+            self._stated = read_points_px(self._file, scheme if scheme == FACE_MESH else IBUG)
         if scheme == FACE_MESH:
             points = template.face_points
             if points is None:
@@ -162,7 +162,7 @@ class Marks:
                     request.template,
                     field=f"{FACE_MESH}.json",
                     found="none",
-                    expected="where the detector's points lie on the template",
+                    expected="the places of the detector's points on the template",
                     hint="`lightstage-learning template-points --template TEMPLATE` finds them.",
                 )
             self._there = points.triangles[:, 0] >= 0
@@ -181,12 +181,12 @@ class Marks:
         """(p, 2) landmarks of a photograph, NaN where hidden.
 
         Raises:
-            MapsError: no face, fewer than asked for, or none in the file.
+            MapsError: no face, no face of that number, or none in the file.
         """
         if self._file is not None:
             for name in (path.name, path.stem):
-                if name in self._told:
-                    return self._told[name][self._there]
+                if name in self._stated:
+                    return self._stated[name][self._there]
             raise MapsError(
                 self._file,
                 field="points_px",
@@ -200,7 +200,7 @@ class Marks:
             raise MapsError(
                 path,
                 found=found,
-                expected="a face that looks at the camera, or half away from it"
+                expected="a face that is turned toward the camera, or half away from it"
                 if self._face == 1
                 else f"{self._face} faces (--face)",
                 hint="Cut the picture around the face, or give its points by --landmarks.",

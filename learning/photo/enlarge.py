@@ -1,6 +1,6 @@
 """A photograph with fewer pixels than its texture has texels, enlarged by super-resolution.
 
-Pixels are enlarged, not texels: they are square, and the background is there to look at.
+Pixels are enlarged, not texels: they are square, and the background is in view.
 """
 
 from __future__ import annotations

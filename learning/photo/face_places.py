@@ -30,7 +30,7 @@ ALBEDO_LENGTH_MM = 25.0
 """Over which an albedo's difference from the mean person's is alike."""
 ALBEDO_FIELDS = 60
 TONE_DEVIATION = 3.0
-"""Of the logarithm of a person's tone: pixels alone do not tell it from the light's strength."""
+"""Of the logarithm of a person's tone, which pixels alone do not separate from the light."""
 BACKWARD = -0.2
 """Places of the mean shape whose normals point farther backward are left out."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])

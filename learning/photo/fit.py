@@ -1,6 +1,6 @@
 """One photograph, or several of one person, to a head: shape, camera, light and texture.
 
-Landmarks tell the camera and the shape, which pixels and outlines change where the configuration
+Landmarks give the camera and the shape, which pixels and outlines change where the configuration
 has rounds for them. The first photograph is then brought into the template's texture; the
 whole-face network and refinement (`learning.whole`) find its light and the skin under it, which
 also fills what the photograph does not show: the skin there, under the same light.
@@ -82,12 +82,12 @@ class Photograph:
 
 @dataclasses.dataclass(frozen=True)
 class Places:
-    """Where landmarks lie on a template.
+    """Places of landmarks on a template.
 
     Attributes:
         triangles: (p, 3) vertex indices.
         weights: (p, 3) of these corners.
-        spread_mm: (p,) how far views of a head lie apart that found them; zeros where it is not
+        spread_mm: (p,) how far apart the views of a head found them; zeros where it is not
             known.
     """
 
@@ -106,7 +106,7 @@ class Shape:
         cameras: of the photographs, world = the head frame.
         meshes: of the photographs: the person with each one's expression, head frame.
         neutral: the person without an expression, head frame.
-        deviation_mm: (n,) standard deviation of each vertex by what the photographs do not tell.
+        deviation_mm: (n,) standard deviation of each vertex by what the photographs do not show.
     """
 
     model: ShapeModel
@@ -163,7 +163,7 @@ def fit_shape(
         config: what is known before.
         model: of the template, where it was made already.
         network: knows the albedo of the mean person and how others differ; without it, or without
-            rounds for pixels in the configuration, landmarks alone tell the shape.
+            rounds for pixels in the configuration, landmarks alone give the shape.
 
     Raises:
         MapsError: a photograph with too few landmarks, or none that agree with a face.

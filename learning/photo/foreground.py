@@ -1,7 +1,7 @@
 """Which pixels of a photograph show the person, and not what is behind.
 
 A fitted mesh never has quite the outline of the person: its scalp and neck reach over the wall. The
-colours of what is surely the face and of what is surely behind tell apart what lies between, by a
+colours of what is surely the face and of what is surely behind separate what is between, by a
 cut through the graph of the pixels [Rother2004].
 """
 

@@ -3,7 +3,8 @@
 Unknown are one identity, and for each photograph the focal length, the pose and the expression.
 Each landmark's distance in pixels counts over its standard deviation, cut off robustly
 [GemanMcClure1985]; each unknown counts by what is known of it before. The inverse of the last
-normal matrix is the covariance of the answer: it says what the photographs do not tell.
+normal matrix is the covariance of the answer: it is large where the photographs do not show the
+answer.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ class LandmarkFit:
 
 @dataclasses.dataclass
 class Unknowns:
-    """Where the search stands."""
+    """The state of the search."""
 
     identity: np.ndarray
     log_focal: np.ndarray
@@ -220,7 +221,7 @@ class Problem:
         return np.r_[0:k, k + per * index : k + per * (index + 1)]
 
     def solved(self) -> tuple[Unknowns, np.ndarray]:
-        """What the landmarks tell: the unknowns, and their covariance."""
+        """What the landmarks determine: the unknowns, and their covariance."""
         here, matrix = descended(self.begin(), self.equations, Unknowns.moved)
         return here, np.linalg.inv(matrix)
 

@@ -87,7 +87,7 @@ def shape_model(template: Template, config: FitConfig) -> ShapeModel:
     own = none if modes is None else modes.identity[: config.identity_modes].astype(float)
     expression = none if modes is None else modes.expression.astype(float)
     names = () if modes is None else modes.expression_names
-    # What lies before the ears becomes deeper or flatter as a whole.
+    # All that is before the ears becomes deeper or flatter as a whole.
     behind = mean[template.landmarks[EARS], 2].mean()
     deeper = np.zeros_like(mean)
     deeper[:, 2] = np.maximum(mean[:, 2] - behind, 0)

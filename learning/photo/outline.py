@@ -55,7 +55,7 @@ def find_rims(
         mesh: as the model has it, in the camera's world, mm.
         camera: the photograph's.
         rgb_linear: (h, w, 3).
-        rim: (n,) bool, vertices that may lie on an outline.
+        rim: (n,) bool, vertices that may be on an outline.
     """
     pairs = outline(mesh, camera)
     pairs = pairs[rim[pairs].all(axis=1)]

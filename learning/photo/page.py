@@ -21,9 +21,9 @@ LARGEST_PX = 640
 SIDE_PX = 320
 BALL_PX = 200
 WORST_MM = 8.0
-"""Deviation that the brightest colour stands for."""
+"""Deviation that has the brightest colour."""
 WORST_OFF = 0.2
-"""Difference of sRGB values that the brightest colour stands for."""
+"""Difference of sRGB values that has the brightest colour."""
 
 
 def write_page(path: Path, photographs: list[Photograph], fitted: FittedHead) -> Path:
@@ -45,8 +45,8 @@ def write_page(path: Path, photographs: list[Photograph], fitted: FittedHead) ->
                 Picture(
                     coloured_sides(shape.meshes[0], deviation, WORST_MM, SIDE_PX),
                     "How uncertain the shape is: black is certain, the brightest colour is a "
-                    f"standard deviation of {WORST_MM:g} mm, grey was not asked. A photograph from "
-                    "in front tells little of a face's depth.",
+                    f"standard deviation of {WORST_MM:g} mm, grey was not fitted. A photograph "
+                    "from in front shows little of a face's depth.",
                 ),
             ],
         ),
@@ -100,7 +100,7 @@ def _over(photograph: Photograph, fitted: FittedHead) -> Section:
             Picture(
                 np.hstack([_marked(photograph, camera), display(over)]),
                 "Left: the photograph with its landmarks. Right: the fitted head drawn over it; "
-                "eyes, mouth and outline should lie on the photograph's.",
+                "eyes, mouth and outline should be on the photograph's.",
             ),
             Picture(
                 display_error(off, WORST_OFF),

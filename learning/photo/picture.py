@@ -69,12 +69,12 @@ def _focal(path: Path, longer_px: int, film_mm: float | None) -> float | None:
                 "--focal-35mm", found=f"{film_mm:g}", expected=f"{least:g} to {most:g} mm"
             )
         return film_mm / FILM_MM * longer_px
-    told = read_exif(path)
+    exif = read_exif(path)
     focal = None
-    if told.focal_35mm_mm:
-        focal = told.focal_35mm_mm / FILM_MM * longer_px
-    elif told.focal_mm and told.focal_plane_px_per_mm:
-        focal = told.focal_mm * told.focal_plane_px_per_mm
+    if exif.focal_35mm_mm:
+        focal = exif.focal_35mm_mm / FILM_MM * longer_px
+    elif exif.focal_mm and exif.focal_plane_px_per_mm:
+        focal = exif.focal_mm * exif.focal_plane_px_per_mm
     if focal is None or not FOCAL_RANGE[0] <= focal / longer_px <= FOCAL_RANGE[1]:
         return None
     return float(focal)

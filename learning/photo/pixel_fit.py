@@ -288,7 +288,7 @@ class PixelFit:
         caster = ShadowCaster(mesh.vertices, mesh.triangles(), position, normals)
         seen = caster.seen(lamps, np.zeros(len(lamps), bool), cast_only=True).astype(float)
         seen = (places.near @ seen.T).T
-        # At a shadow's border a shape that is nearly right says nothing.
+        # At a shadow's border a shape that is nearly right gives no useful error.
         share = strength[:-1] / max(float(strength.sum()), 1e-6)
         border = np.clip(share @ (4 * seen * (1 - seen)), 0, 1)
         value = sampled(picture.light, camera.project(position)[0])

@@ -16,7 +16,7 @@ from lightstage.rig import Camera
 SAME_MM = 1.0
 """A texel is seen where a ray toward it meets the surface no farther from it than that."""
 STEP_MM = 8.0
-"""A change of depth within `EDGE_PX` that is an edge: what lies behind it may show what is before
+"""A change of depth within `EDGE_PX` that is an edge: a texel behind it may show what is before
 it, as the shape is never quite that of the photograph."""
 EDGE_PX = 4
 GRAZING = 0.2
@@ -87,13 +87,13 @@ def smaller(camera: Camera, largest_px: int) -> Camera:
 def _edges(
     scene: open3d.t.geometry.RaycastingScene, camera: Camera, place_px: np.ndarray
 ) -> np.ndarray:
-    """(n,) bool, whether (n, 2) places lie beside a step of depth."""
+    """(n,) bool, whether (n, 2) places are beside a step of depth."""
     small = smaller(camera, LARGEST_DEPTH_PX)
     met = cast_from(scene, *small.pixel_rays())["t_hit"]
     depth = np.where(np.isfinite(met), met, 1e6).reshape(small.height_px, small.width_px)
     kernel = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), np.uint8)
     step = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel) > STEP_MM
-    # Only what lies behind the step is in doubt.
+    # Only what is behind the step is in doubt.
     behind = step & (depth > cv2.erode(depth, kernel) + STEP_MM / 2)
     doubtful = behind | (step & (cv2.dilate(depth, kernel) >= 1e5))
     across, down = small.width_px / camera.width_px, small.height_px / camera.height_px

@@ -1,1 +1,1 @@
-"""Where a face detector's points lie on a template, found in pictures of it."""
+"""The places of a face detector's points on a template, found in pictures of it."""

@@ -26,7 +26,7 @@ OFF_MM = 0.5
 
 @dataclasses.dataclass(frozen=True)
 class PointsConfig:
-    """How a mesh is looked at."""
+    """How a mesh is drawn."""
 
     yaws_deg: tuple[float, ...] = (-50.0, -35.0, -20.0, -8.0, 8.0, 20.0, 35.0, 50.0)
     pitches_deg: tuple[float, ...] = (-25.0, -8.0, 8.0, 25.0)
@@ -48,7 +48,7 @@ class PointsConfig:
 def find_points(
     head: Coloured, config: PointsConfig | None = None, progress: ProgressCallback = quiet
 ) -> tuple[SurfacePoints, dict[str, int]]:
-    """Find where the 468 points lie on a mesh.
+    """Find the places of the 468 points on a mesh.
 
     Args:
         head: the mesh and its colours, face toward +z, +y up.
@@ -79,7 +79,7 @@ def find_points(
             "template points",
             found=f"a face in {len(origins)} of {made} pictures of the mesh",
             expected="a face in most of them",
-            hint="Does the face look along +z with +y up, in mm? Do regions and landmarks lie "
+            hint="Does the face look along +z with +y up, in mm? Are regions and landmarks "
             "where they should?",
         )
     points = _surface_points(head, np.array(origins), np.array(directions), settings)

@@ -69,7 +69,7 @@ def direction(yaw_deg: float, pitch_deg: float) -> np.ndarray:
 
 
 def camera_at(middle_mm: np.ndarray, yaw_deg: float, pitch_deg: float) -> Camera:
-    """A camera that looks at the face from a direction."""
+    """A camera that is aimed at a (3,) point of the face, mm, from a direction."""
     place = middle_mm + AWAY_MM * direction(yaw_deg, pitch_deg)
     focal = PICTURE_PX * AWAY_MM / SHOWN_MM
     centre = PICTURE_PX / 2

@@ -22,7 +22,7 @@ from learning.render.diffusion_kernel import LANES, couple, sweep
 STEPS = 4
 """Steps along each axis: kurtosis of the kernel is 3 + 3 / STEPS; a Gaussian's is 3."""
 SEAM = 6.0
-"""Neighbours this many times the median distance apart lie on two sides of a seam."""
+"""Neighbours this many times the median distance apart are on two sides of a seam."""
 SAMPLE = 7
 """The median distance is taken over every so manieth texel."""
 
@@ -64,7 +64,7 @@ class Diffusion:
         return out
 
     def spread_in_place(self, planes: np.ndarray) -> None:
-        """As `spread`, of an array."""
+        """As `spread`, of a (B, C, H, W) array, in place."""
         mass = self.mass.numpy()
         for axis, times in _order():
             pivots, flow = self.systems[axis]

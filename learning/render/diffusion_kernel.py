@@ -1,7 +1,8 @@
 """Compiled steps of the diffusion on a texture's lines: couplings, elimination, sweeps.
 
 A line is a row or a column. LANES lines are solved side by side: a step along a line is then one
-vector operation. Pivots and couplings lie as (B, lines, LANES' groups) need them: line after line.
+vector operation. Pivots and couplings are stored line after line, as (B, lines, LANES' groups) need
+them.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def couple(
         length: (B, H, W) distance of neighbours along the axis.
         along_rows: whether lines are rows; else columns.
         tau: half the variance of one step.
-        limit: neighbours at least this far apart lie on two sides of a seam.
+        limit: neighbours at least this far apart are on two sides of a seam.
         flow: (B, groups, steps, LANES) is filled: tau times what flows to the line's next texel.
         pivots: the same shape, is filled: one over the pivots of Gauss's elimination.
     """
@@ -69,13 +70,13 @@ def couple(
 def eliminate(
     values: np.ndarray, weights: np.ndarray, pivots: np.ndarray, flow: np.ndarray, count: int
 ) -> None:
-    """One implicit step of LANES lines, in place; flat arrays of count * LANES.
+    """One implicit step of LANES lines, in place.
 
     Args:
-        values: densities.
-        weights: mass.
-        pivots: of `couple`.
-        flow: of `couple`.
+        values: (count * LANES,) densities.
+        weights: (count * LANES,) mass.
+        pivots: (count * LANES,) of `couple`.
+        flow: (count * LANES,) of `couple`.
         count: texels of a line.
     """
     for lane in range(LANES):
@@ -103,10 +104,10 @@ def sweep(
     """`times` implicit steps along the lines of (B, C, H, W) densities, in place.
 
     Args:
-        planes: the densities.
+        planes: (B, C, H, W) densities.
         mass: (B, H, W).
         pivots: (B, groups, steps, LANES) of `couple`.
-        flow: the same.
+        flow: (B, groups, steps, LANES) of `couple`.
         along_rows: whether lines are rows.
         times: steps one after the other.
     """

@@ -39,19 +39,21 @@ class RandomLightConfig:
     """How random environments are drawn, in the head frame.
 
     Attributes:
-        lights: at most so many point lights, at least one.
-        distance_mm: nearest and farthest light.
-        exposure: darkest and brightest sum of what the lights and the ambient give a white
+        lights: number of point lights, at most; at least one.
+        distance_mm: distances of the nearest and the farthest light.
+        exposure: darkest and brightest sum of what the lights and the ambient light give a white
             diffuser that faces the camera.
-        ambient_share: least and most of that from everywhere.
+        ambient_share: smallest and largest share of the ambient light in that sum.
         tint: standard deviation of the logarithm of each light's red, green and blue.
-        ambient_tint: the same of the light from everywhere.
-        behind: how far behind the face lights may stand: the cosine of the angle to straight
-            behind, at most.
+        ambient_tint: standard deviation of the logarithm of the red, green and blue of the ambient
+            light.
+        behind: how far behind the face lights may be: largest cosine of the angle to straight
+            behind.
         camera_mm: distance of the camera in front of the face.
-        position_spread: of the target's distance, at most, for the environments around it.
-        camera_spread: the same for the camera.
-        intensity_spread: the same for the lights' intensity.
+        position_spread: largest change of a light's distance, as a share, in the environments
+            around a target.
+        camera_spread: largest change of the camera's distance there, as a share.
+        intensity_spread: largest change of a light's intensity there, as a share.
     """
 
     lights: int = 3
@@ -68,7 +70,7 @@ class RandomLightConfig:
 
 
 def from_light_set(lights: LightSet, camera_mm: np.ndarray) -> Environment:
-    """A light set seen from a point, as a batch of one (float32)."""
+    """A light set seen from a (3,) point, mm, as a batch of one (float32)."""
 
     def batch(values: np.ndarray) -> Tensor:
         return torch.from_numpy(np.asarray(values, np.float32))[None]
@@ -138,7 +140,7 @@ def random_environment(
     if ambient_multiplies:
         ambient = 0.0
     share = rng.uniform(0.3, 1.0, len(position_mm))
-    # A face turned half to a light still receives light, so 0.3 stands for the grazing ones: rims
+    # A face turned half to a light still receives light, so grazing ones count as 0.3: rims
     # do not become arbitrarily bright to reach the exposure.
     facing = np.maximum(position_mm[:, 2] / distance, 0.3)
     strength = (exposure - ambient) * share / float((share * facing).sum())
@@ -171,7 +173,7 @@ def around(
         target: a batch of one, or of more where no places are given.
         rng: randomness.
         config: how far.
-        position_mm: (L, 3) where the lights stand, as `moved_lights` drew it before.
+        position_mm: (L, 3) places of the lights, as `moved_lights` drew it before.
     """
 
     def gain(count: tuple[int, ...]) -> Tensor:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from learning.render.kernel_backward import LIGHT_SUMS, Asked, Gradients, Shaded, backward
+from learning.render.kernel_backward import LIGHT_SUMS, Gradients, Needed, Shaded, backward
 from learning.render.kernel_facets import forward_facets
 from learning.render.kernel_forward import forward, pack_lights
 from learning.render.texel_blocks import NEAREST_MM, Lights, Skins, tasks_of
@@ -30,7 +30,7 @@ class Inputs(NamedTuple):
         ambient: (B, 3).
         camera: (B, 3) mm.
         distant: (B, L) bool.
-        glossy: (B, n) bool, where the lobe is asked for.
+        glossy: (B, n) bool, where the lobe is needed.
         valid: (B, n) bool, where a surface is.
         paper: whether as printed.
     """
@@ -100,7 +100,7 @@ class FusedLight(torch.autograd.Function):
         lobes = np.empty((batch, 3, texels), kind)
         forward(skins, lights, array_of(of.glossy), of.paper, irradiance, lobes)
         found = torch.from_numpy(irradiance), torch.from_numpy(lobes)
-        # Kept so that torch notices when one is changed before the gradient is asked for.
+        # Kept so that torch notices when one is changed before the backward pass.
         others = (of.seen, of.rgb, of.ambient, of.camera)
         ctx.save_for_backward(*maps, *others, of.light_mm, of.distant, found[1])
         # Without their own graph: arrays of the tensors that were saved.
@@ -111,7 +111,7 @@ class FusedLight(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, of_irradiance: Tensor, of_lobes: Tensor) -> Inputs:
-        """The gradient of each of the inputs; None where it is not asked for."""
+        """The gradient of each of the inputs; None where it is not needed."""
         light_mm, distant, lobes = ctx.saved_tensors[-3:]
         skins, lights = ctx.arrays
         asked = Inputs(*ctx.needs_input_grad)
@@ -133,13 +133,13 @@ class FusedLight(torch.autograd.Function):
             np.zeros((batch, tasks, 3), kind),
             np.zeros((batch, tasks, 3), kind),
         )
-        wanted = Asked(
+        wanted = Needed(
             asked.diffuse_normal or asked.specular_normal or asked.shininess,
             asked.position or asked.light_mm or asked.camera,
             asked.rgb,
         )
-        worth = Shaded(array_of(of_irradiance), array_of(of_lobes))
-        backward(skins, lights, ctx.paper, array_of(lobes), worth, wanted, of)
+        gradient = Shaded(array_of(of_irradiance), array_of(of_lobes))
+        backward(skins, lights, ctx.paper, array_of(lobes), gradient, wanted, of)
         sums, camera, ambient = (
             torch.from_numpy(x.sum(axis=1))
             for x in (of.light_sums, of.camera_sums, of.ambient_sums)
@@ -168,7 +168,7 @@ def _of_places(light_mm: Tensor, distant: Tensor, sums: Tensor) -> Tensor:
 
 
 def _filled(values: np.ndarray) -> Tensor | None:
-    """A gradient; None where it was not asked for and has no room."""
+    """A gradient; None where it is not needed and has no room."""
     return torch.from_numpy(values) if values.shape[2] else None
 
 

@@ -1,63 +1,73 @@
 """Shadows that were baked before, kept on the disk: many trainings of the same people share them.
 
-A head is known by the name of its files and not by its positions: these are shrunk by torch, which
-rounds otherwise from machine to machine, and what was baked here is to be found there.
+A head is known by the name of its files and not by its positions: torch shrinks these, and its
+rounding differs from machine to machine, while shadows that one machine baked serve another.
 """
 
 from __future__ import annotations
 
-import contextlib
+import dataclasses
 import hashlib
 import zipfile
-from collections.abc import Callable, Iterator
-from contextvars import ContextVar
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from lightstage.formats.files import atomic_path
 
-_FOLDER: ContextVar[Path | None] = ContextVar("folder of kept shadows", default=None)
 ROUNDED_MM = 0.01
 """Places of lamps that differ by less are the same: sines differ by their last bit."""
 
 
-@contextlib.contextmanager
-def shadows_kept_in(folder: Path) -> Iterator[None]:
-    """Within the block shadows of heads that have a name are read from a folder, or put there."""
-    before = _FOLDER.set(folder)
-    try:
-        yield
-    finally:
-        _FOLDER.reset(before)
+@dataclasses.dataclass(frozen=True)
+class KeptShadows:
+    """Where the shadows of one head's surface are kept.
+
+    Attributes:
+        folder: of all heads' shadows; made when the first is kept.
+        surface: name of the head's files and of the surface that was made from them.
+    """
+
+    folder: Path
+    surface: str
+
+    def read_or_bake(
+        self, size: tuple[int, ...], position_mm: np.ndarray, bake: Callable[[], np.ndarray]
+    ) -> np.ndarray:
+        """Visibility that was kept, or that is baked now and kept.
+
+        Args:
+            size: rows and columns of the surface's grid.
+            position_mm: (L, 3) lights.
+            bake: gives (L, rows, columns) float32, 0 or 1.
+
+        Returns:
+            (L, rows, columns) float32, 0 or 1.
+        """
+        lights = np.round(np.asarray(position_mm, float).reshape(-1, 3) / ROUNDED_MM)
+        digest = hashlib.sha256(f"{self.surface}, {size}, ".encode())
+        digest.update(lights.astype(np.int64).tobytes())
+        path = self.folder / f"{digest.hexdigest()[:32]}.npz"
+        kept = _read(path, (len(lights), *size))
+        if kept is not None:
+            return kept
+        baked = bake()
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with atomic_path(path) as beside, beside.open("wb") as file:
+            np.savez_compressed(file, bits=np.packbits(baked > 0.5))
+        return baked
 
 
-def kept_or_baked(
-    name: str, size: tuple[int, ...], position_mm: np.ndarray, bake: Callable[[], np.ndarray]
-) -> np.ndarray:
-    """Visibility that was kept, or that is baked now and kept where there is a folder for it.
+def shadows_of_scan(folder: Path | None, sha256: str, surface: str) -> KeptShadows | None:
+    """Where the shadows of a scan's surface are kept; None where they are not.
 
     Args:
-        name: of the head; nothing is kept of one without.
-        size: rows and columns of its grid.
-        position_mm: (L, 3) lights.
-        bake: gives (L, rows, columns) float32, 0 or 1.
+        folder: of kept shadows; None where nothing is kept.
+        sha256: of the scan's files; empty for a scan that has none.
+        surface: what is made from the scan, since the same scan is shrunk in several ways.
     """
-    folder = _FOLDER.get()
-    if folder is None or not name:
-        return bake()
-    lights = np.round(np.asarray(position_mm, float).reshape(-1, 3) / ROUNDED_MM).astype(np.int64)
-    said = hashlib.sha256(f"{name}, {size}, ".encode() + lights.tobytes())
-    path = folder / f"{said.hexdigest()[:32]}.npz"
-    whole = (len(lights), *size)
-    kept = _read(path, whole)
-    if kept is not None:
-        return kept
-    baked = bake()
-    folder.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as beside, beside.open("wb") as file:
-        np.savez_compressed(file, bits=np.packbits(baked > 0.5))
-    return baked
+    return None if folder is None or not sha256 else KeptShadows(folder, f"{sha256} of {surface}")
 
 
 def _read(path: Path, size: tuple[int, ...]) -> np.ndarray | None:

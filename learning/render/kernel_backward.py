@@ -18,12 +18,12 @@ from learning.render.kernel_gradients import (
     GS,
     GSEEN,
     GV,
-    colour_worth,
-    diffuse_worth,
+    colour_gradient,
+    diffuse_gradient,
     finish_block,
-    normal_worth,
-    place_worth,
-    specular_worth,
+    normal_gradient,
+    place_gradient,
+    specular_gradient,
 )
 from learning.render.lanes_math import ANY_ORDER
 from learning.render.texel_blocks import (
@@ -48,8 +48,8 @@ class Shaded(NamedTuple):
     lobes: np.ndarray
 
 
-class Asked(NamedTuple):
-    """Which gradients are asked for: of the normals or the exponent; of the position, the camera
+class Needed(NamedTuple):
+    """Which gradients are needed: of the normals or the exponent; of the position, the camera
     or the lights' places; of the lights' rgb.
     """
 
@@ -62,7 +62,7 @@ class Gradients(NamedTuple):
     """Gradients with respect to the inputs; all start as zeros.
 
     Attributes:
-        position: (B, 3, n), or (B, 3, 0) where not asked for; so are the next ones.
+        position: (B, 3, n), or (B, 3, 0) where not needed; so are the next ones.
         diffuse_normal: (B, 3, n).
         specular_normal: (B, 3, n).
         shininess: (B, 1, n).
@@ -85,16 +85,25 @@ class Gradients(NamedTuple):
 
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
-def start_worths(
+def start_gradients(
     buf: np.ndarray,
     texel: np.ndarray,
     count: int,
     entry: int,
     paper: bool,
     lobes: np.ndarray,
-    worth: Shaded,
+    gradient: Shaded,
 ) -> bool:
     """Start a block: gradients of its sums, the lobe's before it was normalised.
+
+    Args:
+        buf: flat, of `GRADIENT_ROWS` rows of `TEXELS` numbers.
+        texel: (TEXELS,) indices of the block's texels.
+        count: how many of them are there.
+        entry: of the batch.
+        paper: whether the formulas are as printed.
+        lobes: (B, 3, n), what forward filled.
+        gradient: with respect to what forward filled.
 
     Returns:
         Whether the lobe has a gradient.
@@ -104,8 +113,8 @@ def start_worths(
     buf[GE * TEXELS :] = zero
     for k in range(3):
         for t in range(count):
-            buf[(GE + k) * TEXELS + t] = worth.irradiance[entry, k, texel[t]]
-            of_lobe = worth.lobes[entry, k, texel[t]]
+            buf[(GE + k) * TEXELS + t] = gradient.irradiance[entry, k, texel[t]]
+            of_lobe = gradient.lobes[entry, k, texel[t]]
             gloss |= of_lobe != zero
             buf[(GL + k) * TEXELS + t] = of_lobe
     if gloss and not paper:
@@ -120,8 +129,10 @@ def start_worths(
 
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
-def write_worths(buf: np.ndarray, texel: np.ndarray, count: int, entry: int, of: Gradients) -> None:
-    """Write the gradients of the maps that are asked for."""
+def write_gradients(
+    buf: np.ndarray, texel: np.ndarray, count: int, entry: int, of: Gradients
+) -> None:
+    """Write the gradients of the maps that are needed; arrays as of `start_gradients`."""
     for k in range(3):
         for t in range(count):
             n = texel[t]
@@ -142,8 +153,8 @@ def backward(
     lights: Lights,
     paper: bool,
     lobes: np.ndarray,
-    worth: Shaded,
-    asked: Asked,
+    gradient: Shaded,
+    needed: Needed,
     of: Gradients,
 ) -> None:
     """Gradients of `kernel_forward.forward`.
@@ -154,7 +165,7 @@ def backward(
         paper: as forward.
         lobes: (B, 3, n), what forward filled.
         worth: gradients with respect to what forward filled.
-        asked: what is computed.
+        needed: what is computed.
         of: is filled.
     """
     batch, _, texels = skins.position.shape
@@ -171,36 +182,36 @@ def backward(
             count, first = next_block(buf, texel, entry, first, last, skins, lights)
             if count == 0:
                 break
-            gloss = start_worths(buf, texel, count, entry, paper, lobes, worth)
+            gloss = start_gradients(buf, texel, count, entry, paper, lobes, gradient)
             for j in range(lights.packed.shape[1]):
                 light = lights.packed[entry, j]
-                if black(light) and not asked.colours:
+                if black(light) and not needed.colours:
                     continue
                 by_diffuse, by_specular = toward_light(buf, texel, entry, j, lights)
                 if not (by_diffuse or (gloss and by_specular) or paper):
                     continue
-                diffuse_worth(buf, light, paper)
+                diffuse_gradient(buf, light, paper)
                 if gloss and (by_specular or paper):
-                    specular_worth(buf, light, paper)
-                if asked.normals:
-                    normal_worth(buf, light)
-                if asked.places:
-                    place_worth(buf, light, paper, sums[j])
-                if asked.colours:
-                    colour_worth(buf, sums[j])
+                    specular_gradient(buf, light, paper)
+                if needed.normals:
+                    normal_gradient(buf, light)
+                if needed.places:
+                    place_gradient(buf, light, paper, sums[j])
+                if needed.colours:
+                    colour_gradient(buf, sums[j])
                 if of_seen.shape[2]:
                     for t in range(count):
                         of_seen[entry, j, texel[t]] = buf[GSEEN * TEXELS + t]
             finish_block(buf)
-            write_worths(buf, texel, count, entry, of)
+            write_gradients(buf, texel, count, entry, of)
             for k in range(3):
                 from_camera, everywhere = zero, zero
                 for t in range(count):
                     n = texel[t]
                     from_camera += buf[(GV + k) * TEXELS + t]
-                    everywhere += worth.irradiance[entry, k, n] * skins.occlusion[entry, 0, n]
+                    everywhere += gradient.irradiance[entry, k, n] * skins.occlusion[entry, 0, n]
                     if of_occlusion.shape[2]:
-                        here = worth.irradiance[entry, k, n] * lights.ambient[entry, k]
+                        here = gradient.irradiance[entry, k, n] * lights.ambient[entry, k]
                         of_occlusion[entry, 0, n] += here
                 camera_sums[entry, number, k] += from_camera
                 ambient_sums[entry, number, k] += everywhere

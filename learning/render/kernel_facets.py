@@ -1,4 +1,4 @@
-"""The compiled sums of a rough dielectric (see `dielectric`), where no gradient is asked for."""
+"""The compiled sums of a rough dielectric (see `dielectric`), where no gradient is needed."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def smith(cosine: float, steepness: float) -> float:
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
 def prepare_facets(buf: np.ndarray) -> None:
-    """Write what a block's lights share."""
+    """Write what a block's lights share; `buf` and `light` are as of `kernel_forward`."""
     kind = buf.dtype.type
     zero, one, two = kind(0.0), kind(1.0), kind(2.0)
     for t in range(TEXELS):
@@ -168,7 +168,7 @@ def forward_facets(
 
     Args:
         skins, lights: as of `kernel_forward.forward`.
-        glossy: (B, n) bool, where the lobe is asked for.
+        glossy: (B, n) bool, where the lobe is needed.
         irradiance: (B, 3, n) is filled; 0 where there is no surface.
         lobes: (B, 3, n) is filled; 0 where not glossy.
     """

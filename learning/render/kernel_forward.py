@@ -1,4 +1,8 @@
-"""The compiled shading: what a block of texels receives of each light, and a batch of blocks."""
+"""The compiled shading: what a block of texels receives of each light, and a batch of blocks.
+
+A function's `buf` is one block, flat: rows of `TEXELS` numbers at the places of `texel_blocks`. Its
+`light` is one light, (9,), of `pack_lights`.
+"""
 
 from __future__ import annotations
 
@@ -100,7 +104,7 @@ def normalise_lobe(buf: np.ndarray) -> None:
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
 def finish_sums(buf: np.ndarray, ambient: np.ndarray, paper: bool) -> None:
-    """After all lights: add the ambient light, normalise the lobe; as printed do neither."""
+    """After all lights: add the (3,) ambient light, normalise the lobe; as printed do neither."""
     if paper:
         return
     normalise_lobe(buf)
@@ -115,7 +119,7 @@ def pack_lights(
 ) -> np.ndarray:
     """(B, L, 9) rows of (B, L) lights: position, near, |P|^2, least squared distance, rgb.
 
-    A distant light stands at distance 1, whatever length its direction was given with.
+    A distant light is at distance 1, whatever length its direction was given with.
     """
     square = np.square(position).sum(axis=-1)
     out = np.zeros((*rgb.shape[:2], LIGHT_COLUMNS), position.dtype)
@@ -148,7 +152,7 @@ def forward(
     Args:
         skins: the textures.
         lights: one set each.
-        glossy: (B, n) bool, where the lobe is asked for.
+        glossy: (B, n) bool, where the lobe is needed.
         paper: as printed: no clamp, no fall-off, no normalisation, and no ambient light, by which
             the caller multiplies.
         irradiance: (B, 3, n) is filled; 0 where there is no surface.

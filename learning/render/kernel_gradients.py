@@ -4,6 +4,9 @@ With T the way to the light, i = 1 / |T|, a, b, c the cosines at diffuse normal,
 view, r the reach |P|^2 i^2 and h the cosine at the half vector, a light gives
 D = max(a, 0) r seen and S = h^s max(b, 0) r seen. Each function below is one step of the chain rule
 from the gradients of D and S (u and w) back to the block's fields.
+
+A function's `buf` is one block, flat: `GRADIENT_ROWS` rows of `TEXELS` numbers. Its `light` is one
+light, (9,), of `kernel_forward.pack_lights`; its `out` is that light's (7,) gradients.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ GRADIENT_ROWS = GE + 27
 
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
-def diffuse_worth(buf: np.ndarray, light: np.ndarray, paper: bool) -> None:
+def diffuse_gradient(buf: np.ndarray, light: np.ndarray, paper: bool) -> None:
     """Start a light: D, and the gradients of a, the reach and the visibility through it."""
     zero, one = buf.dtype.type(0.0), buf.dtype.type(1.0)
     power, red, green, blue = light[4], light[6], light[7], light[8]
@@ -46,7 +49,7 @@ def diffuse_worth(buf: np.ndarray, light: np.ndarray, paper: bool) -> None:
 
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
-def specular_worth(buf: np.ndarray, light: np.ndarray, paper: bool) -> None:
+def specular_gradient(buf: np.ndarray, light: np.ndarray, paper: bool) -> None:
     """Add the lobe's part: S, and the gradients of b, c, the exponent and the rest through it."""
     zero, one, two = buf.dtype.type(0.0), buf.dtype.type(1.0), buf.dtype.type(2.0)
     narrow, tiny = buf.dtype.type(NARROWEST), buf.dtype.type(1e-30)
@@ -76,10 +79,10 @@ def specular_worth(buf: np.ndarray, light: np.ndarray, paper: bool) -> None:
         dark = b < zero and not paper
         cosine = zero if dark else (one if paper else b)
         strength = lobe * cosine * reach
-        worth = w * cosine * reach * seen
-        of_half = worth * exponent * lobe / half if inside else zero
+        of_reached = w * cosine * reach * seen
+        of_half = of_reached * exponent * lobe / half if inside else zero
         buf[SS * TEXELS + t] = strength * seen
-        buf[GS * TEXELS + t] += worth * lobe * logarithm
+        buf[GS * TEXELS + t] += of_reached * lobe * logarithm
         buf[GNSV * TEXELS + t] += of_half * root
         of_cosine = zero if dark or paper else w * lobe * reach * seen
         buf[GB * TEXELS + t] = of_half * root + of_cosine
@@ -89,7 +92,7 @@ def specular_worth(buf: np.ndarray, light: np.ndarray, paper: bool) -> None:
 
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
-def normal_worth(buf: np.ndarray, light: np.ndarray) -> None:
+def normal_gradient(buf: np.ndarray, light: np.ndarray) -> None:
     """Add a light's share to the gradients of the two normals."""
     lx, ly, lz, near = light[0], light[1], light[2], light[3]
     for t in range(TEXELS):
@@ -107,7 +110,7 @@ def normal_worth(buf: np.ndarray, light: np.ndarray) -> None:
 
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
-def place_worth(buf: np.ndarray, light: np.ndarray, paper: bool, out: np.ndarray) -> None:
+def place_gradient(buf: np.ndarray, light: np.ndarray, paper: bool, out: np.ndarray) -> None:
     """Add a light's share to the gradients of position and view, and the light's own to out."""
     zero, two = buf.dtype.type(0.0), buf.dtype.type(2.0)
     lx, ly, lz, near, power, least = light[0], light[1], light[2], light[3], light[4], light[5]
@@ -148,7 +151,7 @@ def place_worth(buf: np.ndarray, light: np.ndarray, paper: bool, out: np.ndarray
 
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
-def colour_worth(buf: np.ndarray, out: np.ndarray) -> None:
+def colour_gradient(buf: np.ndarray, out: np.ndarray) -> None:
     """Add the gradient of a light's red, green and blue to out[4:7]."""
     for k in range(3):
         total = buf.dtype.type(0.0)
@@ -159,23 +162,23 @@ def colour_worth(buf: np.ndarray, out: np.ndarray) -> None:
 
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
-def through_unit(buf: np.ndarray, vector: int, length: int, worth: int) -> None:
+def through_unit(buf: np.ndarray, vector: int, length: int, gradient: int) -> None:
     """Turn the gradient of a unit vector into that of the vector as given."""
     zero = buf.dtype.type(0.0)
     for t in range(TEXELS):
         x = buf[vector * TEXELS + t]
         y = buf[(vector + 1) * TEXELS + t]
         z = buf[(vector + 2) * TEXELS + t]
-        gx = buf[worth * TEXELS + t]
-        gy = buf[(worth + 1) * TEXELS + t]
-        gz = buf[(worth + 2) * TEXELS + t]
+        gx = buf[gradient * TEXELS + t]
+        gy = buf[(gradient + 1) * TEXELS + t]
+        gz = buf[(gradient + 2) * TEXELS + t]
         scale = buf[length * TEXELS + t]
         # A negative scale marks a vector too short for a direction: it was only multiplied.
         along = zero if scale < zero else gx * x + gy * y + gz * z
         scale = abs(scale)
-        buf[worth * TEXELS + t] = (gx - along * x) * scale
-        buf[(worth + 1) * TEXELS + t] = (gy - along * y) * scale
-        buf[(worth + 2) * TEXELS + t] = (gz - along * z) * scale
+        buf[gradient * TEXELS + t] = (gx - along * x) * scale
+        buf[(gradient + 1) * TEXELS + t] = (gy - along * y) * scale
+        buf[(gradient + 2) * TEXELS + t] = (gz - along * z) * scale
 
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
@@ -183,9 +186,9 @@ def finish_block(buf: np.ndarray) -> None:
     """After all lights: specular normal . view, then the three vectors as they were given."""
     for k in range(3):
         for t in range(TEXELS):
-            worth = buf[GNSV * TEXELS + t]
-            buf[(GNS + k) * TEXELS + t] += worth * buf[(V + k) * TEXELS + t]
-            buf[(GV + k) * TEXELS + t] += worth * buf[(NS + k) * TEXELS + t]
+            of_dot = buf[GNSV * TEXELS + t]
+            buf[(GNS + k) * TEXELS + t] += of_dot * buf[(V + k) * TEXELS + t]
+            buf[(GV + k) * TEXELS + t] += of_dot * buf[(NS + k) * TEXELS + t]
     through_unit(buf, ND, LEN, GND)
     through_unit(buf, NS, LEN + 1, GNS)
     through_unit(buf, V, LEN + 2, GV)

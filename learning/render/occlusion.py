@@ -8,9 +8,9 @@ import numpy as np
 from torch import Tensor
 
 from learning.render.environments import Environment
-from learning.render.kept_shadows import kept_or_baked
+from learning.render.kept_shadows import KeptShadows
 from learning.render.light_dome import even_directions
-from learning.render.uv import UvRaster
+from learning.render.uv import UvRaster, grid_quads
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import Mesh
 
@@ -19,8 +19,6 @@ DOME_MM = 100_000.0 * even_directions(64)
 RAYS_AT_ONCE = 2_000_000
 OFFSET_MM = 0.3
 """Rays start so far off the surface, along its normal, to pass over the facet they start on."""
-
-
 SHARPER = 4.0
 """How much sharper the edges of shadows are than the grid that they were baked on."""
 
@@ -33,14 +31,13 @@ class PositionGrid:
         position_mm: (rows, columns, 3).
         normal: (rows, columns, 3) unit.
         covered: (rows, columns) bool.
-        name: of the head, by which its shadows may be kept (see `kept_shadows`); nothing for a
-            head whose shadows are not.
+        kept: where its shadows are kept; None where they are not.
     """
 
     position_mm: np.ndarray
     normal: np.ndarray
     covered: np.ndarray
-    name: str = ""
+    kept: KeptShadows | None = None
 
 
 def bake_visibility(
@@ -83,16 +80,19 @@ def bake_grid(surface: PositionGrid, position_mm: np.ndarray) -> np.ndarray:
     Returns:
         (L, rows, columns) float32, as `bake_visibility`.
     """
+    if surface.kept is None:
+        return _baked(surface, position_mm)
     size = (*surface.covered.shape,)
-    return kept_or_baked(surface.name, size, position_mm, lambda: _baked(surface, position_mm))
+    return surface.kept.read_or_bake(size, position_mm, lambda: _baked(surface, position_mm))
 
 
 def _baked(surface: PositionGrid, position_mm: np.ndarray) -> np.ndarray:
     rows, columns = surface.covered.shape
+    quads = grid_quads(surface.position_mm, surface.covered)
     out = np.zeros((len(position_mm), rows, columns), np.float32)
     caster = ShadowCaster(
         surface.position_mm.reshape(-1, 3),
-        _grid_triangles(surface),
+        np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]),
         surface.position_mm[surface.covered],
         surface.normal[surface.covered],
     )
@@ -114,18 +114,6 @@ def openness(normal: np.ndarray, dome: np.ndarray) -> np.ndarray:
     cosine = np.clip(np.einsum("hwc,nc->nhw", normal, direction), 0, None)
     found: np.ndarray = (dome * cosine).sum(axis=0) / np.maximum(cosine.sum(axis=0), 1e-6)
     return found
-
-
-def _grid_triangles(surface: PositionGrid) -> np.ndarray:
-    """Two triangles for every four neighbours that belong together."""
-    index = np.arange(surface.covered.size).reshape(surface.covered.shape)
-    corners = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], axis=-1)
-    corners = corners[surface.covered.ravel()[corners].all(axis=-1)]
-    points = surface.position_mm.reshape(-1, 3)[corners]
-    span = np.linalg.norm(points - points[:, [1, 2, 3, 0]], axis=2).max(axis=1)
-    # Across a seam of the texture neighbours lie far apart on the face.
-    corners = corners[span < 10 * np.median(span)]
-    return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
 
 
 def sharpened(seen: Tensor, sharpness: float = SHARPER) -> Tensor:

@@ -3,7 +3,7 @@
 Visibility of every texel is baked once, on the mean shape, from directions spread evenly over the
 sphere. A light between them gets the three nearest ones' pictures, mixed by its place in their
 triangle and sharpened; so a shadow moves with its light and has a gradient. Pictures of one bit are
-small enough to keep thousands, and many directions tell more than a few smooth pictures do.
+small enough to keep thousands, and many directions give more accuracy than a few smooth pictures.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class OcclusionConfig:
 
 
 class OcclusionTable:
-    """Baked pictures of visibility, and what lies between them."""
+    """Baked pictures of visibility, and interpolation between them."""
 
     def __init__(self, bits: np.ndarray, covered: np.ndarray) -> None:
         """A table.
@@ -92,7 +92,7 @@ class OcclusionTable:
 
         Returns:
             (L, rows, columns), 0..1: the share of the light that no other part of the head blocks.
-            Below a texel's horizon it is what the neighbours say; the cosine is 0 there.
+            Below a texel's horizon it is that of its neighbours; the cosine is 0 there.
         """
         seen = torch.nn.functional.interpolate(
             self.mixed(position_mm)[None], size=size, mode="bilinear", align_corners=False

@@ -3,8 +3,8 @@
 A decoder turns 64 latent features into the occlusion under a whole light set; a linear regressor
 gives the features from the lights' directions and strengths [Lattas2021]. What is published is
 5 blocks of two convolutions with ELU and batch norm and one resampling, 64 features, a fully
-connected layer of 256; the channels are ours. Coordinates of a direction tell a linear regressor
-little of what changes fast with it, so that a network may be given the direction's harmonics
+connected layer of 256; the channels are ours. From a direction's coordinates a linear regressor
+finds little of what changes fast with it, so that a network may be given the direction's harmonics
 instead. A network of one light gives each light of a set a picture of its own, whatever their
 number; one of more lights gives a set of as many one picture.
 """
@@ -37,7 +37,7 @@ class OcclusionNetworkConfig:
     Attributes:
         rows: of the pictures, a multiple of 96; two thirds as many columns.
         lights: in a set.
-        order: of the spherical harmonics that tell a direction to the regressor; 1 for its
+        order: of the spherical harmonics that encode a direction for the regressor; 1 for its
             coordinates, as published.
         features: latent.
         connected: width of the fully connected layer.
@@ -155,7 +155,12 @@ class OcclusionNetwork(nn.Module):
 
 
 def likeness(face: np.ndarray, other: np.ndarray) -> float:
-    """Share, 0..1, of texels with surface that show the same in two rasters (`UvRaster.face`)."""
+    """Share, 0..1, of texels with surface that show the same in two rasters.
+
+    Args:
+        face: (rows, columns) triangles, `UvRaster.face`.
+        other: (rows, columns) of the other raster.
+    """
     covered = (face >= 0) | (other >= 0)
     return float((face == other)[covered].mean()) if covered.any() else 0.0
 
@@ -183,7 +188,7 @@ def described(directions: Tensor, share: Tensor, order: int) -> Tensor:
 
     l_j is the direction, with an order above 1 its harmonics of band 1 on, of mean square 1.
     """
-    told = directions
+    coordinates = directions
     if order > 1:
-        told = math.sqrt(4 * math.pi) * harmonics(directions, order)[..., 1:]
-    return torch.cat([told.flatten(1), share], dim=1)
+        coordinates = math.sqrt(4 * math.pi) * harmonics(directions, order)[..., 1:]
+    return torch.cat([coordinates.flatten(1), share], dim=1)

@@ -139,6 +139,8 @@ def importance(
 ) -> Environment:
     """Directional lights drawn by their power, one from each of `count` equal shares of it.
 
+    The camera of the environment is at `camera_mm` (3,).
+
     Without bias: the mean over draws is the picture's light, whatever the count.
     """
     rows = len(panorama.radiance)

@@ -50,7 +50,7 @@ class Spread(NamedTuple):
     both: np.ndarray
 
 
-class Worth(NamedTuple):
+class OutputGradient(NamedTuple):
     """Gradient of S (B, 3, H, W), a texel's area (B, H, W), and g of (w a, w a U) / area."""
 
     w: np.ndarray
@@ -88,15 +88,17 @@ class FusedScatter(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, worth: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         """Gradients of the three fields."""
         fields = Fields(*(array_of(x) for x in ctx.saved_tensors))
         diffusion, shares, spread = ctx.kept
-        asked = Worth(array_of(worth), diffusion.mass.numpy(), np.empty_like(spread.both))
-        weigh(fields.u, spread.root, asked)
-        diffusion.spread_in_place(asked.turned)
+        backward_state = OutputGradient(
+            array_of(gradient), diffusion.mass.numpy(), np.empty_like(spread.both)
+        )
+        weigh(fields.u, spread.root, backward_state)
+        diffusion.spread_in_place(backward_state.turned)
         of = Fields(*(np.empty_like(x) for x in fields))
-        worths(fields, shares, spread, asked, of)
+        gradients(fields, shares, spread, backward_state, of)
         return (*(torch.from_numpy(x) for x in of), None, None, None)
 
 
@@ -123,7 +125,7 @@ def prepare(fields: Fields, shares: Shares, spread: Spread) -> None:
 
 @numba.njit(parallel=True, cache=True, fastmath=ANY_ORDER, error_model="numpy")
 def combine(u: np.ndarray, spread: Spread, out: np.ndarray) -> None:
-    """Fill S."""
+    """Fill `out`, S (B, 3, H, W), from U (B, 3, H, W)."""
     batch, channels, height, width = u.shape
     root, both = spread
     for line in numba.prange(batch * height):
@@ -136,9 +138,9 @@ def combine(u: np.ndarray, spread: Spread, out: np.ndarray) -> None:
 
 
 @numba.njit(parallel=True, cache=True, fastmath=ANY_ORDER, error_model="numpy")
-def weigh(u: np.ndarray, root: np.ndarray, worth: Worth) -> None:
+def weigh(u: np.ndarray, root: np.ndarray, gradient: OutputGradient) -> None:
     """Fill (w a, w a U) / area, which g turns into the two transposes over the area."""
-    w, mass, turned = worth
+    w, mass, turned = gradient
     batch, channels, height, width = u.shape
     zero = u.dtype.type(0.0)
     for line in numba.prange(batch * height):
@@ -152,11 +154,13 @@ def weigh(u: np.ndarray, root: np.ndarray, worth: Worth) -> None:
 
 
 @numba.njit(parallel=True, cache=True, fastmath=ANY_ORDER, error_model="numpy")
-def worths(fields: Fields, shares: Shares, spread: Spread, worth: Worth, of: Fields) -> None:
+def gradients(
+    fields: Fields, shares: Shares, spread: Spread, gradient: OutputGradient, of: Fields
+) -> None:
     """Fill the gradients of U, irradiance and translucency."""
     u, e, c = fields
     root, both = spread
-    w, mass, turned = worth
+    w, mass, turned = gradient
     of_u, of_e, of_c = of
     batch, channels, height, width = u.shape
     one, zero, half = u.dtype.type(1.0), u.dtype.type(0.0), u.dtype.type(0.5)
@@ -169,9 +173,9 @@ def worths(fields: Fields, shares: Shares, spread: Spread, worth: Worth, of: Fie
                 here, light, a = mass[b, row, i], u[b, k, row, i], root[b, k, row, i]
                 first = here * turned[b, k, row, i]
                 second = here * turned[b, channels + k, row, i]
-                q, here_worth = both[b, channels + k, row, i], w[b, k, row, i]
-                of_u[b, k, row, i] = here_worth * (one - a * q) + a * first
-                of_a = here_worth * (both[b, k, row, i] - light * q) + light * first - second
+                q, of_s = both[b, channels + k, row, i], w[b, k, row, i]
+                of_u[b, k, row, i] = of_s * (one - a * q) + a * first
+                of_a = of_s * (both[b, k, row, i] - light * q) + light * first - second
                 dark = one - e[b, k, row, i]
                 share = c[b, 0, row, i] * dark
                 inside = share >= zero and share <= one

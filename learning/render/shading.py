@@ -47,7 +47,7 @@ def shade(
             under B light sets, B skins under one, or B pairs.
         options: how.
         visibility: (B, L, H, W), the share of each light that a texel sees; all where None. One
-            channel stands for every light.
+            channel holds for every light.
 
     Returns:
         (B, 3, H, W) linear rgb, 1 = a white diffuser in light of 1; 0 where no surface is.

@@ -1,4 +1,4 @@
-"""What the renderer takes of a skin, and how it is asked to shade."""
+"""The maps of a skin that the renderer takes, and the options of its shading."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class SkinMaps:
             nothing is computed there, and the picture is 0.
         texel_mm: edge of a texel of area 1.
         ambient_occlusion: (B, 1, H, W), 1 = open; what is left of the ambient light.
-        edges: (B, 2, H, W), how far apart neighbours across and down lie on the skin, relative to
+        edges: (B, 2, H, W), how far apart neighbours across and down are on the skin, relative to
             `texel_mm`; the root of `area` where None, as if the texture were stretched nowhere.
     """
 

@@ -1,8 +1,11 @@
 """Blocks of texels for the compiled shading: gathered, normalised, laid out for vectors.
 
 A block holds `TEXELS` texels of the surface; those that show none are left out, so that a loop over
-a block is a loop over skin. All fields of a block lie in one flat array, row after row, at constant
+a block is a loop over skin. All fields of a block are in one flat array, row after row, at constant
 places: the compiler sees that they do not overlap and turns loops over a block into vectors.
+
+A function's `buf` is one block, flat: `ROWS` rows of `TEXELS` numbers, or more where a caller needs
+them. Its `texel` holds the (TEXELS,) indices of the block's texels.
 """
 
 from __future__ import annotations
@@ -110,7 +113,10 @@ def unit_rows(buf: np.ndarray, first: int, length: int) -> None:
 def gather(
     buf: np.ndarray, texel: np.ndarray, count: int, entry: int, skins: Skins, camera: np.ndarray
 ) -> None:
-    """Fill a block with `count` of the texels listed, of one batch entry; the rest is zero."""
+    """Fill a block with `count` of the texels listed, of one batch entry; the rest is zero.
+
+    `camera` is its (3,) place, mm.
+    """
     zero = buf.dtype.type(0.0)
     position = skins.position[entry]
     diffuse_normal, specular_normal = skins.diffuse_normal[entry], skins.specular_normal[entry]
@@ -141,12 +147,12 @@ def gather(
 
 @numba.njit
 def next_texels(valid: np.ndarray, first: int, last: int, texel: np.ndarray) -> tuple[int, int]:
-    """List up to a block's texels of the surface from `first` on.
+    """List up to a block's texels of the surface, `valid` (n,) bool, from `first` on.
 
     A block that is not full repeats its last texel, so that every place can be read.
 
     Returns:
-        How many there are, and where to go on.
+        How many there are, and the index of the next texel.
     """
     count = 0
     while first < last and count < TEXELS:

@@ -16,8 +16,8 @@ from learning.render.skin import ShadeOptions, SkinMaps
 ROWS = 512
 """Rows of a band."""
 REACH = 5.0
-"""A band sees so many of the kernel's standard deviations beyond its edges: what lies further away
-gives a texel less than 1e-4 of its light."""
+"""A band sees so many of the kernel's standard deviations beyond its edges: texels further away
+give a texel less than 1e-4 of its light."""
 
 
 def shade_in_bands(

@@ -29,7 +29,7 @@ class UvRaster:
 
     @property
     def covered(self) -> np.ndarray:
-        """(rows, columns) bool, texels whose centre lies in a triangle."""
+        """(rows, columns) bool, texels whose centre is in a triangle."""
         return self.face >= 0
 
     def interpolate(self, values: np.ndarray) -> np.ndarray:
@@ -100,7 +100,7 @@ def spread_outside(image: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class TexelSurface:
-    """What a position map says of the surface.
+    """Normals and areas of a position map's surface.
 
     Attributes:
         normal: (rows, columns, 3) float32 unit, outward for unmirrored UV; zero outside.
@@ -137,13 +137,35 @@ def texel_surface(
     return TexelSurface(normal, area, edges)
 
 
+def grid_quads(position_mm: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    """Quads between neighbouring texels of a position map, without those across a seam.
+
+    Across a seam of the texture neighbours are far apart on the face: a quad whose longest edge is
+    ten times the median of all quads' or more is left out.
+
+    Args:
+        position_mm: (rows, columns, 3).
+        covered: (rows, columns) bool.
+
+    Returns:
+        (n, 4) indices of texels, row by row: top left, bottom left, bottom right, top right.
+    """
+    index = np.arange(covered.size).reshape(covered.shape)
+    corners = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], axis=-1)
+    corners = corners[covered.ravel()[corners].all(axis=-1)]
+    points = position_mm.reshape(-1, 3)[corners]
+    longest = np.linalg.norm(points - points[:, [1, 2, 3, 0]], axis=2).max(axis=1)
+    quads: np.ndarray = corners[longest < 10 * np.median(longest)]
+    return quads
+
+
 def _tangent(position: np.ndarray, covered: np.ndarray, axis: int, smooth_px: float) -> np.ndarray:
     step = np.diff(position.astype(np.float32), axis=axis)
     both = np.logical_and(*(np.delete(covered, end, axis=axis) for end in (0, -1)))
     length = np.linalg.norm(step, axis=2)
     typical = float(np.median(length[both])) if both.any() else 0.0
     valid = (both & (length < 10 * typical)).astype(np.float32)
-    # A difference lies between two texels; half of it is charged to each.
+    # A difference is between two texels; each gets half of it.
     total = np.zeros((*covered.shape, 4), np.float32)
     packed = np.concatenate([step * valid[..., None], valid[..., None]], axis=2)
     first = [slice(None)] * 3

@@ -16,12 +16,13 @@ class PicturesConfig:
 
     Attributes:
         patch_px: side of an input patch; that of its truth is `network.times` as large.
-        count: pictures that are made before the first step, lit textures and albedos in equal
-            parts; 7 kB for each thousand texels.
+        count: number of pictures that are made before the first step, lit textures and albedos in
+            equal parts; 7 kB for each thousand texels.
         min_coverage: smallest share of a patch that must show a surface.
-        mirrored_share: part of the patches that are mirrored left to right.
-        held_out_subjects: people, the last ones by name, who are scored and never trained on.
-        shadow_sets: sets of lights of each scan whose shadows are baked.
+        mirrored_share: share of the patches that are mirrored left to right.
+        held_out_subjects: number of people, the last ones by name, who are scored and never trained
+            on.
+        shadow_sets: number of sets of lights of each scan whose shadows are baked.
     """
 
     patch_px: int = 64
@@ -37,11 +38,12 @@ class UpscaleTrainConfig(TrainingConfig):
     """A training of RCAN; the defaults are the published ones [Zhang2018], at 8 times.
 
     Attributes:
-        network: its size.
-        pictures: which pictures.
-        steps: of the training.
-        rates: equal parts of the training; in each the rate is half that of the part before.
-        score_lights: environments under which each held-out scan is scored.
+        network: the network's size.
+        pictures: the pictures that are trained on.
+        steps: number of steps.
+        rates: number of equal parts of the training; in each the learning rate is half that of the
+            part before.
+        score_lights: number of environments under which each held-out scan is scored.
     """
 
     family: ClassVar[str] = "super_resolution"

@@ -131,7 +131,7 @@ class Pictures:
         rows, columns = (times * (side // times) for side in covered.shape)
         whole = srgb_from_linear(to_batch(image[:rows, :columns]))
         seen = to_batch(covered[:rows, :columns].astype(np.float32))
-        low = lowered(whole, times)
+        low = downsampled(whole, times)
         origins = torch.empty((0, 2), dtype=torch.long)
         if min(low.shape[2:]) >= size:
             share = functional.avg_pool2d(functional.avg_pool2d(seen, times), size, stride=1)
@@ -140,7 +140,7 @@ class Pictures:
         return Picture(whole[0].half(), low[0], skin[:rows, :columns], origins)
 
 
-def lowered(picture: Tensor, times: int) -> Tensor:
+def downsampled(picture: Tensor, times: int) -> Tensor:
     """Means of linear light over `times` x `times` texels of (B, 3, h, w) sRGB-encoded pictures.
 
     `times` divides both sides.

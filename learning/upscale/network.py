@@ -32,8 +32,8 @@ class RcanConfig:
             published network has as many as before.
         reduction: channels over those between the two layers of the attention.
         times: the output's side over the input's; 2, 4 or 8.
-        beside_bicubic: the output is a difference from bicubic interpolation, which then is what an
-            untrained network says. Not published; it makes a training of minutes converge.
+        beside_bicubic: the output is a difference from bicubic interpolation, which then is the
+            output of an untrained network. Not published; it makes a training of minutes converge.
     """
 
     groups: int = 10

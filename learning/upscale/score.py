@@ -23,7 +23,7 @@ BLOCK_PX = 64
 
 @dataclasses.dataclass(frozen=True)
 class Detail:
-    """Sums over blocks of skin of what lies beyond the input's band.
+    """Sums over blocks of skin of detail beyond the input's band.
 
     A block is as good as the band that was not recorded: its discrete cosine transform, without
     the frequencies that the input has along both axes. Nothing of it follows from the input
@@ -51,7 +51,7 @@ class Detail:
 
     @property
     def correlation(self) -> float:
-        """1 where all detail lies where it is in truth, 0 where it lies anywhere."""
+        """1 where all detail is at its true place, 0 where it is anywhere."""
         return self.product / max((self.found * self.true) ** 0.5, 1e-12)
 
 
@@ -171,7 +171,7 @@ def interpolated(low: np.ndarray, times: int, how: int) -> np.ndarray:
 
 
 def detail(found: np.ndarray, true: np.ndarray, where: np.ndarray, times: int) -> Detail:
-    """Compare two (rows, columns, 3) pictures in blocks that lie whole in `where` (bool)."""
+    """Compare two (rows, columns, 3) pictures in blocks that are whole within `where` (bool)."""
     total = Detail()
     step = BLOCK_PX // 2
     # Cosine k of a block has k / (2 BLOCK_PX) cycles a texel; the input has up to 1 / (2 times).

@@ -15,16 +15,18 @@ class WholeTrainConfig(TrainingConfig):
     """A training on whole faces, by AdamW: its rate rises in the first steps and falls as a cosine.
 
     Attributes:
-        network: its size.
+        network: the network's size.
         faces: how faces are shown.
-        steps: of the training.
-        weight_decay: AdamW's.
-        specular_weight: of the squared error of the specular albedo's logarithm, beside the
-            squared error of the sRGB-encoded diffuse albedo.
-        deviation_weight: of the expected error's likelihood.
-        detail_pairs: pairs at the textures' own size that the shares of detail are fitted to.
-        doubt_faces: faces over which the network's error along people's modes is measured.
-        score_lights: environments under which each held-out scan is scored.
+        steps: number of steps.
+        weight_decay: weight decay of AdamW.
+        specular_weight: weight of the squared error of the specular albedo's logarithm, where the
+            squared error of the sRGB-encoded diffuse albedo has 1.
+        deviation_weight: weight of the expected error's likelihood.
+        detail_pairs: number of pairs at the textures' own size to which the shares of detail are
+            fitted.
+        doubt_faces: number of faces over which the network's error along people's modes is
+            measured.
+        score_lights: number of environments under which each held-out scan is scored.
     """
 
     family: ClassVar[str] = "whole_face"

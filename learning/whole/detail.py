@@ -63,9 +63,9 @@ def with_detail(
 
     Args:
         log_albedo: (h, w, 3), natural logarithm of what the network found.
-        texture: as `bands`.
-        seen: as `bands`.
-        small: as `bands`.
+        texture: (rows, columns, 3) as of `bands`.
+        seen: (rows, columns) bool as of `bands`.
+        small: (h, w, 3) as of `bands`.
         shares: of each band, 0..1.
 
     Returns:
@@ -89,7 +89,7 @@ class Shares:
         """Add a pair.
 
         Args:
-            parts: of `bands`.
+            parts: (rows, columns, 3) each, of `bands`.
             wanted: (rows, columns, 3) true log albedo less the network's.
             weight: (rows, columns), how much a texel counts.
         """

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextvars
 import dataclasses
-import functools
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -27,6 +26,7 @@ from learning.render.environments import (
     random_lights,
     stack,
 )
+from learning.render.kept_shadows import KeptShadows, shadows_of_scan
 from learning.render.occlusion import DOME_MM, PositionGrid, bake_grid, openness, sharpened
 from learning.render.shading import Mode, ShadeOptions, SkinMaps, shade, unit
 from learning.render.uv import TexelSurface, texel_surface
@@ -40,7 +40,7 @@ LARGEST_ROWS = 1536
 SMALLEST_AREA = 0.1
 """Area, over that of a typical texel, below which a texel is displaced as one of this area."""
 LEAST_ALBEDO = 1e-3
-"""Albedo below which a logarithm says nothing more."""
+"""Albedo below which a logarithm is cut off."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,14 +48,15 @@ class FacesConfig:
     """How whole faces are shown to the network.
 
     Attributes:
-        held_out_subjects: people, the last ones by name, who are scored and never trained on.
-        shadow_sets: sets of lights of each scan whose shadows are baked.
+        held_out_subjects: number of people, the last ones by name, who are scored and never trained
+            on.
+        shadow_sets: number of sets of lights of each scan whose shadows are baked.
         white_balance: standard deviation of the logarithm of the photograph's red, green and blue.
         noise: standard deviation of the logarithm of a texel.
-        ggx_share: part of the batches that are shaded with facets and Fresnel's rise (see
+        ggx_share: share of the batches that are shaded with facets and Fresnel's rise (see
             `learning.render.shading`) instead of as the training is configured.
-        partial_share: part of the pairs of which only the side toward some camera is shown.
-        beside_skin: weight of eyes, hair and what was not captured, where skin has 1.
+        partial_share: share of the pairs of which only the side toward some camera is shown.
+        beside_skin: weight of eyes, hair and texels that were not captured, where skin has 1.
         displaced_mm: standard deviation of how far a texel shows another place of the face than
             its own, as in the texture of a photograph whose fitted shape is not the person's.
     """
@@ -173,11 +174,13 @@ class Faces:
         progress: ProgressCallback = quiet,
         clock: Clock | None = None,
         lit_on: torch.device = CPU,
+        shadows: Path | None = None,
     ) -> None:
         """Read and shrink the scans, and bake the shadows of random sets of lights.
 
         What is drawn counts on `clock` as data and rendering. `draw` lights its batches on the
-        device `lit_on`, and leaves them there; a copy of all scans is kept in its memory.
+        device `lit_on`, and leaves them there; a copy of all scans is kept in its memory. Shadows
+        are read from the folder `shadows`, and kept there, where one is given.
         """
         self._clock = clock or Clock()
         self._store, self._config = store, config
@@ -191,14 +194,10 @@ class Faces:
         try:
             baked = [
                 threads.submit(
-                    # With the folder of kept shadows, which is this thread's alone.
-                    contextvars.copy_context().run,
-                    functools.partial(
-                        _face,
-                        *read_small(store, scan.index, *size_px),
-                        [random_lights(rng, lights) for _ in range(config.shadow_sets)],
-                        scan.sha256 and f"{scan.sha256} of the surface",
-                    ),
+                    _face,
+                    *read_small(store, scan.index, *size_px),
+                    [random_lights(rng, lights) for _ in range(config.shadow_sets)],
+                    shadows_of_scan(shadows, scan.sha256, "the surface"),
                 )
                 for scan in self._scans
             ]
@@ -453,11 +452,16 @@ def _enlarged_shadows(visibility: Tensor, size: tuple[int, int]) -> Tensor:
     return (255 * sharpened(seen)).to(torch.uint8)
 
 
-def _face(maps: dict[str, np.ndarray], skin: np.ndarray, sets: list[np.ndarray], name: str) -> Face:
-    """A scan whose shadows of sets of (n, 3) lights are baked; `name` is its surface's."""
+def _face(
+    maps: dict[str, np.ndarray],
+    skin: np.ndarray,
+    sets: list[np.ndarray],
+    kept: KeptShadows | None,
+) -> Face:
+    """A scan whose shadows of sets of (n, 3) lights are baked, or read where they are kept."""
     tensors, texel_mm, surface = _tensors(maps)
     covered = (maps["position"] != 0).any(axis=2)
-    grid = PositionGrid(maps["position"], surface.normal, covered, name)
+    grid = PositionGrid(maps["position"], surface.normal, covered, kept)
     # All lights at once: the tree of the surface's triangles is built once.
     baked = (255 * bake_grid(grid, np.concatenate([*sets, DOME_MM]))).astype(np.uint8)
     *parts, dome = np.split(baked, np.cumsum([len(at) for at in sets]))

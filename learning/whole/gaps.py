@@ -1,4 +1,4 @@
-"""What a texture does not tell of a skin: from the texels around, and from the face's other side.
+"""Skin that a texture does not show: from the texels around, and from the face's other side.
 
 A texture over its light shows nothing at the edges of shadows, in the dark and in highlights. Left
 to the skin that people have in common, these places show as blots. Neighbours continue into them
@@ -13,7 +13,7 @@ import numpy as np
 from learning.whole.detail import blurred
 
 FEWEST_TEXELS = 100
-"""Known on both sides, below which one face does not tell how alike its sides are."""
+"""Texels known on both sides, below which a face does not show how alike its sides are."""
 ALIKE = 0.5
 """How alike sides then are taken to be: our people's, ICT's and the scanned head's have 0.35 to
 0.63."""
@@ -35,7 +35,7 @@ def without_gaps(
     Args:
         beside: (rows, columns, 3) what a skin is beside the one that people have in common, natural
             logarithm.
-        known: (rows, columns) bool, where `beside` says something.
+        known: (rows, columns) bool, where `beside` is known.
         covered: (rows, columns) bool, where a surface is.
         sides: whether the texture's columns, in reverse, are the face's other side.
 
@@ -43,16 +43,16 @@ def without_gaps(
         (rows, columns, 3) float32: `beside` where it is known, finite everywhere, 0 without
         surface or where nothing is known.
     """
-    told = known & covered
-    own = np.where(told[..., None], beside, 0).astype(np.float32)
-    found = continued(own, told)
-    other, there = own[:, ::-1], told[:, ::-1]
-    if sides and (there & ~told).any():
-        both = told & there
+    seen = known & covered
+    own = np.where(seen[..., None], beside, 0).astype(np.float32)
+    found = continued(own, seen)
+    other, there = own[:, ::-1], seen[:, ::-1]
+    if sides and (there & ~seen).any():
+        both = seen & there
         share = likeness(own, other, both)
         step = continued((own - share * other) * both[..., None], both)
-        found = np.where((there & ~told)[..., None], share * other + step, found)
-    return np.where(told[..., None], own, found) * covered[..., None]
+        found = np.where((there & ~seen)[..., None], share * other + step, found)
+    return np.where(seen[..., None], own, found) * covered[..., None]
 
 
 def sides_mirror(position_mm: np.ndarray) -> bool:
@@ -72,7 +72,7 @@ def likeness(own: np.ndarray, other: np.ndarray, both: np.ndarray) -> float:
 
     Args:
         own: (rows, columns, 3) of one side.
-        other: of the other, mirrored.
+        other: (rows, columns, 3) of the other, mirrored.
         both: (rows, columns) bool, where both are known.
     """
     if both.sum() < FEWEST_TEXELS:

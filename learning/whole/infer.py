@@ -38,7 +38,7 @@ FARTHEST_MM = 20.0
 """Mean distance of a head's texels from those of the mean person. Our people have 3 to 9 once they
 are aligned, a texture that is flipped or turned has 78 to 99."""
 GAP_ERROR = 1.3
-"""Error of a refined albedo where its texture did not tell of it, of the error elsewhere: our
+"""Error of a refined albedo where its texture did not show it, of the error elsewhere: our
 people's 1.3, ICT's 1.1, the scanned head's 1.8."""
 LEAST_TEXELS = 100
 """A head has about 4,000 at the network's size."""
@@ -90,7 +90,7 @@ def infer_whole_face(
 
     Raises:
         MapsError: a texture too small, black or badly exposed; a mesh that is flat, not of a head's
-            size in mm, or laid out otherwise than those trained on.
+            size in mm, or in another layout than those trained on.
     """
     rows, columns = texture.shape[:2]
     size = network.config
@@ -120,10 +120,10 @@ def infer_whole_face(
     given = face_input(small * shown, low_normal, low_position, shown)
     there = network if device == CPU else copy.deepcopy(network).to(device)
     with torch.inference_mode():
-        said = moved(there(given.to(device)), CPU)
-    log_albedo = _image(said.diffuse_albedo.log())
-    low_specular = np.exp(_image(said.specular_albedo.log())[..., 0])
-    trust = _trust(_image(said.deviation)[..., 0])
+        output = moved(there(given.to(device)), CPU)
+    log_albedo = _image(output.diffuse_albedo.log())
+    low_specular = np.exp(_image(output.specular_albedo.log())[..., 0])
+    trust = _trust(_image(output.deviation)[..., 0])
     refined: Refined | None = None
     if refine_seconds > 0:
         answer = Answer(_image(small), _image(shown)[..., 0] > 0, log_albedo, low_specular, trust)
@@ -135,7 +135,7 @@ def infer_whole_face(
         asked = (texture, photographed, head, raster, refine_seconds, mesostructure, viewed)
         found = refine(network, answer, *asked, largest_misfit)
         if isinstance(found, str):
-            notes = [*notes, f"{named[0]} was not refined, the network's answer stands: {found}"]
+            notes = [*notes, f"{named[0]} was not refined, the network's answer is used: {found}"]
         else:
             refined = found
             if mesostructure is not None and found.normals is None:
@@ -152,7 +152,7 @@ def infer_whole_face(
     else:
         diffuse = refined.diffuse_albedo
     specular = np.exp(enlarged(np.log(low_specular), rows, columns))
-    deviation = enlarged(_image(said.deviation)[..., 0], rows, columns)
+    deviation = enlarged(_image(output.deviation)[..., 0], rows, columns)
     if refined is not None:
         deviation *= np.where(refined.known, np.float32(1), np.float32(GAP_ERROR))
     normals = (normal, normal)
@@ -169,7 +169,7 @@ def infer_whole_face(
 
 
 def in_mesh_axes(light: LightSet, head_from_mesh: np.ndarray) -> LightSet:
-    """A light of the head frame for a mesh in its own axes, whose origin may be another."""
+    """A light of the head frame for a mesh in its own axes, by its (3, 4) pose `head_from_mesh`."""
     rotation, offset_mm = head_from_mesh[:, :3], head_from_mesh[:, 3]
     place = np.linalg.solve(rotation, (light.position_mm - offset_mm).T).T
     # Strength is that at the origin, and falls off with the square of the distance from there.
@@ -227,7 +227,7 @@ def _aligned(network: WholeFaceNetwork, position_mm: Tensor, known: Tensor) -> n
 def _require_layout(
     network: WholeFaceNetwork, position_mm: Tensor, known: Tensor, where: str | Path
 ) -> None:
-    """MapsError where the same texel lies at quite another place of the head."""
+    """MapsError where the same texel is at quite another place of the head."""
     distance = float((position_mm - network.mean_position_mm).norm(dim=1)[0][known].mean())
     if not distance <= FARTHEST_MM:
         raise MapsError(

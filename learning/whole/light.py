@@ -1,8 +1,8 @@
 """The light in a texture: a few lamps and light from everywhere, found through the renderer.
 
 Under known albedo a texture is linear in the lamps' colours, which non-negative least squares
-finds; where the lamps stand is searched, as shadows have no useful slope. A dome of lamps tells
-where to begin.
+finds; the lamps' places are searched, as shadows have no useful slope. A dome of lamps gives
+the start.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ AMBIENT_SHINE = 1.3
 n = 1.4 over F0 in the mean over directions up to 60 degrees from the normal."""
 
 Lamps = tuple[tuple[float, float, float], ...]
-"""Where lamps stand, mm, head frame."""
+"""Places of lamps, mm, head frame."""
 
 
 class LitSurface:
@@ -85,7 +85,7 @@ class LitSurface:
         Args:
             lamps_mm: (L, 3).
             shininess: Blinn-Phong's exponent of the lobe.
-            seen: of `seen`, where it is known already.
+            seen: (n, L) of the method `seen`, where it is known already.
         """
         if not len(lamps_mm):
             nothing = np.zeros((len(self._normal), 0))
@@ -120,7 +120,7 @@ class Light:
     """Lamps and light from everywhere.
 
     Attributes:
-        lamps_mm: where the lamps stand, head frame.
+        lamps_mm: places of the lamps, head frame.
         rgb: (L + 1, 3) of the lamps and, last, of the light from everywhere; units as
             `learning.render.environments`.
         misfit: 0 where all texels fit; a texel that is off by `HALF_AT` adds log 2.

@@ -1,6 +1,6 @@
 """Refinement of a network's answer through the renderer: light and skin found in turns.
 
-The network says the person's tone; the shape says where each light falls. In turns, the lamps are
+The network gives the person's tone; the shape shows where each light falls. In turns, the lamps are
 found under which the skin gives the texture (`learning.whole.light`), and the skin among those that
 people have (the modes kept beside the network's weights) that gives the texture under these lamps.
 The texture over its own light then shows what the modes do not have.
@@ -128,7 +128,7 @@ def refine(
     skin = known_skin(network, answer, here, weight)
     fit = LightFit(LitSurface(mesh, low, camera_mm), colours, weight)
     light: Light | None = None
-    found = Explained(skin.said, np.zeros((0, 3)), 1.0, skin.doubt)
+    found = Explained(skin.answer, np.zeros((0, 3)), 1.0, skin.doubt)
     for _ in range(ROUNDS):
         before = skin.albedo(found.along)
         light = fit.find(before, found.gloss * skin.specular, light, until)
@@ -189,18 +189,25 @@ def _explained(
 def known_skin(
     network: WholeFaceNetwork, answer: Answer, here: np.ndarray, weight: np.ndarray
 ) -> KnownSkin:
-    """The skins that people have: a network's answer, brought to the directions that it keeps."""
+    """The skins that people have: a network's answer, brought to the directions that it keeps.
+
+    Args:
+        network: whose answer it is.
+        answer: for the texture, at the network's size.
+        here: (h, w) bool, texels that are used, n of them.
+        weight: (n,) how much each counts.
+    """
     deviations = network.mode_deviations.numpy().astype(float)
     used = deviations > 1e-3 * deviations.max()
     modes = network.albedo_modes.permute(2, 3, 1, 0).numpy()[here].astype(float)
     mean = network.mean_log_albedo[0].permute(1, 2, 0).numpy()
     counts = np.zeros(here.shape)
     counts[here] = weight
-    said = network.along_modes(to_batch(answer.log_albedo - mean), to_batch(counts)[0])
+    along = network.along_modes(to_batch(answer.log_albedo - mean), to_batch(counts)[0])
     return KnownSkin(
         mean[here].astype(float),
         modes[..., used] * deviations[used],
-        said[0].numpy().astype(float)[used],
+        along[0].numpy().astype(float)[used],
         network.mode_doubt.numpy().astype(float)[np.ix_(used, used)],
         answer.specular[here].astype(float),
     )
@@ -241,7 +248,7 @@ class _Followed:
         specular: np.ndarray,
         low_albedo: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(rows, columns, 3) a texture over its light, and where that says something of the skin.
+        """(rows, columns, 3) a texture over its light, and where that shows the skin.
 
         Args:
             texture: (rows, columns, 3) linear.
@@ -292,7 +299,7 @@ def _with_marks(
     Args:
         low_albedo: (h, w, 3) among the skins that people have.
         unlit: (rows, columns, 3) texture over its light.
-        known: (rows, columns) bool, where that says something of the skin.
+        known: (rows, columns) bool, where that shows the skin.
         covered: (rows, columns) bool, where a surface is.
         sides: see `without_gaps`.
     """

@@ -82,7 +82,7 @@ def score_faces(network: WholeFaceNetwork, held_out: Faces, lights: int, seed: i
     device = device_of(network)
     with torch.inference_mode():
         found = [moved(network(pair.inputs.to(device)), CPU) for pair in pairs]
-    albedo = [said.diffuse_albedo for said in found]
+    albedo = [face.diffuse_albedo for face in found]
     mean = network.mean_log_albedo.exp().cpu()
     tones = [mean_colour(pair.diffuse_albedo, pair.skin) for pair in pairs]
     gains = [
@@ -90,7 +90,7 @@ def score_faces(network: WholeFaceNetwork, held_out: Faces, lights: int, seed: i
         for value, pair in zip(albedo, pairs, strict=True)
     ]
     specular = torch.cat([p.specular_albedo[p.skin > 0] for p in pairs])
-    said = [s.specular_albedo[p.skin > 0] for s, p in zip(found, pairs, strict=True)]
+    specular_answer = [s.specular_albedo[p.skin > 0] for s, p in zip(found, pairs, strict=True)]
     expected = [s.deviation[p.skin > 0] for s, p in zip(found, pairs, strict=True)]
     squares = torch.cat(
         [
@@ -106,7 +106,7 @@ def score_faces(network: WholeFaceNetwork, held_out: Faces, lights: int, seed: i
         psnr_db([pair.texture for pair in pairs], pairs),
         psnr_db([mean] * len(pairs), pairs),
         psnr_db(tones, pairs),
-        float((torch.cat(said) - specular).square().mean().sqrt()),
+        float((torch.cat(specular_answer) - specular).square().mean().sqrt()),
         float(specular.std(correction=0)),
         float(torch.cat(expected).square().mean().sqrt() / squares.mean().sqrt().clamp_min(1e-9)),
     )

@@ -44,19 +44,19 @@ class KnownSkin:
     Attributes:
         mean: (n, 3) natural logarithm of the mean person's diffuse albedo.
         modes: (n, 3, K) directions in which people differ, each one standard deviation long.
-        said: (K,) the network's answer, in standard deviations.
+        answer: (K,) the network's, in standard deviations.
         doubt: (K, K) mean square of the network's error along them.
         specular: (n,) specular albedo.
     """
 
     mean: np.ndarray
     modes: np.ndarray
-    said: np.ndarray
+    answer: np.ndarray
     doubt: np.ndarray
     specular: np.ndarray
 
     def albedo(self, along: np.ndarray) -> np.ndarray:
-        """(n, 3) linear diffuse albedo of a skin that lies (K,) along the directions."""
+        """(n, 3) linear diffuse albedo of the skin that is (K,) along the directions."""
         return np.exp(np.clip(self.mean + self.modes @ along, -7.0, 0.0))
 
 
@@ -119,7 +119,7 @@ def explain(
     )
     values = problem.start()
     for _ in range(ROUNDS):
-        problem.look(values)
+        problem.set_outlier_scale(values)
         values, cost, normal = _descended(problem, values)
     return problem.answer(values, np.linalg.inv(normal), cost)
 
@@ -182,7 +182,7 @@ class _Problem:
             cost,
         )
 
-    def look(self, values: np.ndarray) -> None:
+    def set_outlier_scale(self, values: np.ndarray) -> None:
         """Measure from where on a texel counts as far off."""
         along, strength, gloss = self._parts(values)
         rgb = np.exp(strength)
@@ -236,7 +236,7 @@ class _Problem:
         """The same with what is known before."""
         along, strength, gloss = self._parts(values)
         count, lamps = len(along), len(strength)
-        beside = along - self._skin.said
+        beside = along - self._skin.answer
         cost += float(beside @ self._certain @ beside) + (gloss / GLOSS) ** 2
         normal[:count, :count] += self._certain
         right[:count] -= self._certain @ beside

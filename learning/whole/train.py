@@ -65,7 +65,7 @@ class WholeFaceTrainer(NetworkTrainer[WholeTrainConfig, FaceBatch, WholeFaceNetw
 
 
 def face_losses(network: Callable[[Tensor], WholeFace], batch: FaceBatch) -> dict[str, Tensor]:
-    """Squared errors of what the network says, and how badly it knows its own error.
+    """Squared errors of the network's answer, and how badly it knows its own error.
 
     Returns:
         diffuse: mean square of the sRGB-encoded diffuse albedo's error.
@@ -73,11 +73,11 @@ def face_losses(network: Callable[[Tensor], WholeFace], batch: FaceBatch) -> dic
         deviation: of a normal distribution's negative log likelihood, with the expected error as
             its deviation; the error itself is given here, and is not made smaller by it.
     """
-    said = network(batch.inputs)
-    error = srgb_from_linear(said.diffuse_albedo) - srgb_from_linear(batch.diffuse_albedo)
+    answer = network(batch.inputs)
+    error = srgb_from_linear(answer.diffuse_albedo) - srgb_from_linear(batch.diffuse_albedo)
     square = error.square()
-    shine = said.specular_albedo.log() - batch.specular_albedo.clamp_min(1e-3).log()
-    variance = said.deviation.square()
+    shine = answer.specular_albedo.log() - batch.specular_albedo.clamp_min(1e-3).log()
+    variance = answer.deviation.square()
     given = square.detach().mean(dim=1, keepdim=True)
     return {
         "diffuse": masked_mean(square, batch.weight),
@@ -101,14 +101,15 @@ def face_task(
         people: set[str], how: FacesConfig, skins: AugmentConfig, lit_on: torch.device = CPU
     ) -> Faces:
         drawn = (config.lights, skins, rng, config.shading)
-        return Faces(store, people, config.network, how, *drawn, clock=run.clock, lit_on=lit_on)
+        own = (store, people, config.network, how)
+        return Faces(*own, *drawn, clock=run.clock, lit_on=lit_on, shadows=run.shadows)
 
     faces = faces_of(trained_on, config.faces, config.augment, trainer.device)
     # Scored are people as they are, and all of their faces.
     whole = dataclasses.replace(config.faces, partial_share=0.0)
     scored = faces_of(held_out, whole, config.augment.as_they_are())
     if not run.first:
-        trainer.network.keep(faces.in_common(config.network.modes))
+        trainer.network.set_people(faces.in_common(config.network.modes))
 
     def finish() -> tuple[FaceScore, list[Sample]]:
         trained = trainer.trained
@@ -130,8 +131,8 @@ def _samples(network: WholeFaceNetwork, held_out: Faces, seed: int) -> list[Samp
     for index, name in enumerate(held_out.names[:MOST]):
         pair = held_out.batch([index], rng)
         with torch.inference_mode():
-            said = moved(network(pair.inputs.to(device_of(network))), CPU)
-        found.append(Sample(name, pair.texture, said.diffuse_albedo, pair.diffuse_albedo))
+            found_face = moved(network(pair.inputs.to(device_of(network))), CPU)
+        found.append(Sample(name, pair.texture, found_face.diffuse_albedo, pair.diffuse_albedo))
     return found
 
 
@@ -142,8 +143,8 @@ def fit_shares(network: WholeFaceNetwork, faces: Faces, config: WholeTrainConfig
     for _ in range(config.detail_pairs):
         pair = faces.draw_large(rng)
         with torch.inference_mode():
-            said = moved(network(pair.inputs.to(device_of(network))), CPU)
-        low = said.diffuse_albedo[0].permute(1, 2, 0).log().numpy()
+            output = moved(network(pair.inputs.to(device_of(network))), CPU)
+        low = output.diffuse_albedo[0].permute(1, 2, 0).log().numpy()
         rows, columns = pair.texture.shape[:2]
         small = pair.small[0].permute(1, 2, 0).numpy()
         wanted = np.log(np.maximum(pair.diffuse_albedo, 1e-3)) - enlarged(low, rows, columns)
@@ -163,11 +164,11 @@ def measured_doubt(network: WholeFaceNetwork, faces: Faces, config: WholeTrainCo
     for _ in range(max(1, config.doubt_faces // config.batch)):
         pair = moved(faces.draw(config.batch, rng), CPU)
         with torch.inference_mode():
-            said = moved(network(pair.inputs.to(device_of(network))), CPU).diffuse_albedo.log()
+            output = moved(network(pair.inputs.to(device_of(network))), CPU).diffuse_albedo.log()
         true = pair.diffuse_albedo.clamp_min(LEAST_ALBEDO).log()
-        known = (said - mean, true - mean, pair.weight)
-        for said_one, true_one, weight in zip(*known, strict=True):
-            found = network.along_modes(torch.stack([said_one, true_one]), weight)
+        known = (output - mean, true - mean, pair.weight)
+        for found_one, true_one, weight in zip(*known, strict=True):
+            found = network.along_modes(torch.stack([found_one, true_one]), weight)
             errors.append(found[0] - found[1])
     each = torch.stack(errors)
     # A direction that so few people have is known no better than people differ in it.

@@ -1,6 +1,6 @@
-"""A texture over its own light, and where that says something of the skin.
+"""A texture over its own light, and where that shows the skin.
 
-It says nothing in the dark, at edges of shadows, which are never quite in place, and where a
+It does not in the dark, at edges of shadows, which are never quite in place, and where a
 highlight hides the skin.
 """
 
@@ -22,7 +22,7 @@ EDGE_SHARE = 1 / 384
 STEEP = 1.35
 """Ratio of irradiance within that distance that is an edge."""
 NEAR_SHARE = 1 / 96
-"""Distance from such an edge, of a texture's rows, within which the real edge may lie."""
+"""Distance from such an edge, of a texture's rows, within which the real edge may be."""
 MISPLACED = 1.4
 """Ratio to the skin found so far, near an edge, that is the edge's place in error and no mark."""
 
@@ -32,8 +32,8 @@ def over_light(texture: np.ndarray, irradiance: np.ndarray, shine: np.ndarray) -
 
     Args:
         texture: (rows, columns, 3) linear.
-        irradiance: the same, of diffuse light.
-        shine: the same, what is mirrored.
+        irradiance: (rows, columns, 3) of diffuse light.
+        shine: (rows, columns, 3) what is mirrored.
 
     Returns:
         (rows, columns, 3) float32, `DARKEST` to 1.
@@ -71,7 +71,7 @@ def misplaced(ratio: np.ndarray, edges: np.ndarray, known: np.ndarray) -> np.nda
     Args:
         ratio: (rows, columns, 3) of the texture over its light to the skin found so far.
         edges: (h, w) bool, see `light_edges`, of as many texels or fewer.
-        known: (rows, columns) bool, where the ratio says something. Its median there is the
+        known: (rows, columns) bool, where the ratio shows the skin. Its median there is the
             person's tone.
     """
     rows, columns = ratio.shape[:2]

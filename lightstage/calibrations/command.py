@@ -42,7 +42,7 @@ def register(app: typer.Typer) -> None:
 
 def calibrate_command(
     kind: str = typer.Argument(help=f"What is photographed: {', '.join(KIND_NAMES)}."),
-    rig: Path = typer.Option(..., "--rig", help="rig.json: where lights and cameras stand."),
+    rig: Path = typer.Option(..., "--rig", help="rig.json: the places of lamps and cameras."),
     out: Path = output_folder("--out", help="The lab's folder of calibration shots.", shared=True),
     leds: str = typer.Option(..., help="The LED device, as for `capture`."),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
@@ -60,7 +60,7 @@ def calibrate_command(
     config: Path | None = ConfigOption,
     as_json: bool = JsonFlag,
 ) -> None:
-    """Take calibration shots pose by pose; each is looked at before the next."""
+    """Take calibration shots pose by pose; each is checked before the next."""
     chosen = kind_of(kind)
     settings = read_config(config, ignore_clock=ignore_clock)
     _require_meaning(kind, resume, poses, every_light)
@@ -89,7 +89,7 @@ def calibrate_command(
             options = resume_with(leds, cameras, config, flags)
             line = calibrate_line(kind, rig.absolute(), out.absolute(), options)
             ended = stopped() if isinstance(error, KeyboardInterrupt) else error
-            raise type(ended)(f"{ended}\n  Go on with: {line}") from None
+            raise type(ended)(f"{ended}\n  To resume: {line}") from None
     held = (shots.file.expires - shots.file.created).total_seconds() / 86400
     finish(
         f"{shots.root}: {counted(report.poses, 'pose')}, {report.again} taken again, "

@@ -134,7 +134,7 @@ def look_at_chart(picture: Picture, config: CalibrationConfig) -> Seen:
         fy=factor,
         interpolation=cv2.INTER_AREA,
     )
-    # Balanced by what is bright, and encoded: the detector wants a picture to look at.
+    # Balanced by what is bright, and encoded: the detector needs a picture for the eye.
     shown = small / np.maximum(np.percentile(small, 99.5, axis=(0, 1)), 1e-6)
     image = (255 * np.clip(shown, 0, 1) ** (1 / 2.2)).astype(np.uint8)
     detector = cv2.mcc.CCheckerDetector.create()

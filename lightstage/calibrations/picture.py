@@ -1,4 +1,4 @@
-"""A RAW photograph as the quick checks of calibration shots look at it."""
+"""A RAW photograph as the quick checks of calibration shots read it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One pose's photographs, looked at: what every camera shows, and whether the pose will do."""
+"""One pose's photographs, checked: what every camera shows, and whether the pose will do."""
 
 from __future__ import annotations
 

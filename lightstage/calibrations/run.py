@@ -1,4 +1,4 @@
-"""Calibration shots pose by pose: asked for, taken as a session, looked at, kept or taken again."""
+"""Calibration shots pose by pose: requested, taken as a session, checked, kept or retaken."""
 
 from __future__ import annotations
 

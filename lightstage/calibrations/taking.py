@@ -1,4 +1,4 @@
-"""A pose is a session like any other: the same capture, looked at by the quick checks alone."""
+"""A pose is a session like any other: the same capture, checked by the quick checks alone."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SUBJECT = "calibration"
 
 
 class NoFaceChecks:
-    """What capture asks of checks; a target is no face, and is looked at when its pose is whole."""
+    """The checks that capture calls; a target is no face, and is checked when its pose is whole."""
 
     def photograph(self, pattern: str, camera_id: str, path: Path) -> list[Finding]:
         """Nothing is amiss with one photograph."""

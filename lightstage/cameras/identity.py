@@ -11,7 +11,7 @@ from lightstage.errors import DeviceError, LightstageError
 from lightstage.rig import Camera, Rig
 
 IDENTITY = ("serial", "model")
-"""What binds a camera to its place; preflight looks at the rest."""
+"""What binds a camera to its place; preflight checks the rest."""
 
 
 def binding_problems(rig: Rig, file: CamerasFile) -> list[LightstageError]:

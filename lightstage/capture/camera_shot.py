@@ -42,7 +42,7 @@ class OldPictureError(CaptureError):
 
 
 class Checks(Protocol):
-    """What looks at photographs as they come (lightstage.checks.ShotChecks)."""
+    """Checks photographs as they come (lightstage.checks.ShotChecks)."""
 
     def photograph(self, pattern: str, camera_id: str, path: Path) -> list[Finding]:
         """A photograph that is in the journal now; several threads may."""
@@ -77,7 +77,7 @@ class Photographer:
     Args:
         rig: the cameras wanted.
         writer: the session.
-        checks: looks at each photograph.
+        checks: checks each photograph.
         config: how often a file is requested, and whether it is deleted on the camera.
         summaries: each camera's, by its id; it must stay so.
         cards: what was on each card before, by camera id.

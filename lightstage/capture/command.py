@@ -84,7 +84,7 @@ def capture_command(
         "--out", help="The session's folder: new, or with --resume.", default=None
     ),
     rig: Path | None = typer.Option(
-        None, "--rig", help="rig.json: where lights and cameras stand."
+        None, "--rig", help="rig.json: the places of lamps and cameras."
     ),
     sequence: str | None = typer.Option(
         None, help="Named sequence, or pattern names with commas (binary)."
@@ -288,7 +288,7 @@ def _new_order(
     colour: Path | None,
     config: CaptureConfig,
 ) -> tuple[Rig, Order]:
-    """A new session's rig and order; everything is looked at before a device is opened."""
+    """A new session's rig and order; everything is checked before a device is opened."""
     if rig is None:
         raise ConfigError(
             "--rig",

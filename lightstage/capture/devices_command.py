@@ -15,7 +15,7 @@ from lightstage.commands import JsonFlag, finish
 from lightstage.commands.tables import print_table
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
-from lightstage.operator.words import said
+from lightstage.operator.words import notice_of
 from lightstage.preflight import Plan
 from lightstage.rig import load_rig
 
@@ -30,7 +30,7 @@ def register(app: typer.Typer) -> None:
 
 
 def devices_command(
-    rig: Path = typer.Option(..., help="rig.json: where lights and cameras stand."),
+    rig: Path = typer.Option(..., help="rig.json: the places of lamps and cameras."),
     leds: str = typer.Option(
         ...,
         help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://..; or NAME=URL,NAME=URL",
@@ -54,7 +54,7 @@ def devices_command(
     if not as_json:
         print_table(TITLES, map(_cells, look.cameras))
         for finding in look.findings:
-            print(said({"event": "finding", **dataclasses.asdict(finding)}), file=sys.stderr)
+            print(notice_of({"event": "finding", **dataclasses.asdict(finding)}), file=sys.stderr)
     answering = sum(each.answers for each in look.cameras)
     wrong = sum(each.severity == "refuse" for each in look.findings)
     ready = "ready" if look.ready else f"not ready: {counted(wrong, 'thing')} to mend"

@@ -31,7 +31,7 @@ class ExposureTimes:
         self._lock = threading.Lock()
 
     def note(self, camera_id: str, seconds: float) -> None:
-        """A camera was done so many seconds after the trigger."""
+        """Note that a camera was done so many seconds after the trigger."""
         with self._lock:
             self._longest_s[camera_id] = max(seconds, self._longest_s.get(camera_id, 0.0))
 

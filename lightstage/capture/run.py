@@ -184,7 +184,7 @@ class Run:
         missing = {camera.id for camera in cameras} - kept
         if missing:
             again[pattern] = again.get(pattern, set()) | missing
-        # Where only others are taken again, this pattern is looked at again beside them.
+        # Where only others are taken again, this pattern is checked again together with them.
         waits = any((each.pattern or pattern) == pattern for each in bad)
         if again:
             left = min(self._suspects.left(pattern, bad), *(self._left[each] for each in again))

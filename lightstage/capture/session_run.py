@@ -28,7 +28,7 @@ from lightstage.operator.plain import plain
 from lightstage.patterns import on_plane
 from lightstage.patterns.names import BINARY
 from lightstage.preflight import Plan, clear_privacy, drift, preflight, require, set_back
-from lightstage.resume_line import RESUME_WITH, resume_line, retake_line
+from lightstage.resume_line import RESUME_WITH
 from lightstage.rig import Rig, load_rig
 from lightstage.safety import photosensitivity_findings
 from lightstage.sequence import Shot
@@ -43,6 +43,7 @@ from lightstage.session import (
 )
 from lightstage.session.manifest import write_manifest
 from lightstage.steps import step
+from lightstage.ways import readers_ways
 
 SPARE = 1.5
 """Photographs that cards and disk must have room for, against those that are planned."""
@@ -98,7 +99,7 @@ def capture_session(
         order: what.
         config: how.
         operator: decides, and sees every line of the journal.
-        checks: looks at each photograph; by default as at one of a face.
+        checks: checks each photograph; by default those of a face.
 
     Raises:
         DeviceError: something forbids the capture; no light went on. Or the lights failed.
@@ -133,8 +134,8 @@ def capture_session(
         now = last_run(lines)
         retaken = sum(len(each["takes"]) for each in now if each["event"] == "retake")
         for place, line in enumerate(lines):
-            operator.told(line, old=place < len(lines) - len(now))
-        writer.listeners.append(operator.told)
+            operator.receive(line, old=place < len(lines) - len(now))
+        writer.listeners.append(operator.receive)
         followed.enter_context(serve_events(writer, operator.request))
         run: Run | None = None
         operator.at_abort(stage.lights.dark)
@@ -181,11 +182,12 @@ def _last_words(
         return error
     if not order.alone:
         return type(error)(plain(reason))
-    message = f"{plain(reason)}\n  Go on with: {resume_line(order.root, order.resume_with)}"
+    ways = readers_ways()
+    message = f"{plain(reason)}\n  {ways.resume(order.root, order.resume_with)}"
     patterns, ids = ([], []) if run is None else run.suspected
     if patterns:
-        older = retake_line(order.root, patterns, ids, order.resume_with)
-        message += f"\n  Where that shows the same, take the others again: {older}"
+        older = ways.retake(order.root, patterns, ids, order.resume_with)
+        message += f"\n  If that finds the same again, an earlier photograph is wrong. {older}"
     return type(error)(message)
 
 

@@ -111,7 +111,13 @@ def unlikeness(seen: np.ndarray, expected: np.ndarray) -> np.ndarray:
 
 
 def brightness(seen: np.ndarray, expected: np.ndarray, weight: np.ndarray) -> float:
-    """Ratio of what is seen to what is expected, (...) over cells each, weighed by the whole's."""
+    """Ratio of what is seen to what is expected.
+
+    Args:
+        seen: (...) light of cells.
+        expected: (...) of a ball there.
+        weight: (...) light of the same cells in the whole.
+    """
     wanted = float((expected * weight).sum() / weight.sum())
     return (float((seen * weight).sum() / weight.sum()) + FLOOR) / (wanted + FLOOR)
 

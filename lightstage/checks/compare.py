@@ -118,7 +118,7 @@ def _describe_other(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]
     return (
         f"light that looks like {best}",
         f"that of {pattern}",
-        "Take it again; if it stays so, look at the lights' order and wiring.",
+        "Retake it; if it stays so, check the lamps' order and wiring.",
     )
 
 
@@ -134,7 +134,7 @@ def _describe_dim(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
     return (
         f"{two_digits(100 * float(np.median(values)))} % of the light expected",
         f"that of {pattern}",
-        "Did the lights come on while the shutter was open? Take it again.",
+        "Did the lights come on while the shutter was open? Retake it.",
     )
 
 
@@ -191,7 +191,7 @@ def sharpness_findings(
                 where(blurred, camera),
                 f"{100 * worse:.0f} % of the fine detail of its photograph under {than}",
                 f"at least {100 * config.warn_sharpness:g} %",
-                "Did the focus or the subject move while the shutter was open? Take it again.",
+                "Did the focus or the subject move while the shutter was open? Retake it.",
                 blurred,
                 camera,
             )

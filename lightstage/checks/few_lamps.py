@@ -269,9 +269,9 @@ class FewLamps:
         ]
 
 
-TOO_MUCH = "More lamps are on than were asked for: look at the stage, take it again."
-TOO_LITTLE = "Is the lamp dead, or did it not light? Look at it, take the pattern again."
-ELSEWHERE = "Another lamp shone: look at the lights' order and wiring; are the banks swapped?"
+TOO_MUCH = "More lamps are on than were set: inspect the stage, retake it."
+TOO_LITTLE = "Is the lamp dead, or did it not light? Inspect it, retake the pattern."
+ELSEWHERE = "Another lamp shone: check the lamps' order and wiring; are the banks swapped?"
 
 
 def _refusal(code: str, pattern: str, found: str, hint: str) -> Finding:

@@ -85,9 +85,9 @@ def _wrong(evidence: Evidence, cameras: list[str], camera: str | None) -> Findin
         f"{evidence.sum.first} + {evidence.sum.second} differs from {evidence.sum.whole} by "
         f"{two_digits(100 * misfit)} % on average" + (f"; it looks like {looks}" if looks else ""),
         "patterns that sum",
-        "An old picture, or one of another shot: take it again with this camera."
+        "An old picture, or one of another shot: retake it with this camera."
         if camera
-        else "The lights showed something else; take the pattern again, look at the wiring.",
+        else "The lights showed something else; retake the pattern, check the wiring.",
         culprit,
         camera,
     )
@@ -129,7 +129,7 @@ def _level_off(pattern: str, whole: str, off: float) -> Finding:
         f"all cameras, pattern {pattern}",
         f"{_percent(off)} than by {whole}",
         "the light that was commanded",
-        "The lights' supply gave way, or some did not light; take the pattern again.",
+        "The lights' supply gave way, or some did not light; retake the pattern.",
         pattern,
         None,
     )
@@ -190,7 +190,7 @@ def _motion(evidence: Evidence, cameras: list[str], config: ChecksConfig) -> lis
                 f"at most {config.warn_motion_mm:g} mm",
                 f"It moved after {whole} and stayed so: sit as before, or take {whole} again too."
                 if both
-                else "It moved during this pattern: take it again.",
+                else "It moved during this pattern: retake it.",
                 pattern,
                 None,
             )

@@ -17,7 +17,7 @@ from lightstage.session.neighbours import Neighbours
 from lightstage.session.opening import JOURNAL
 from lightstage.session.state import CLOCK_SET
 
-HINT = "The camera gave an old picture; take it again: lightstage retake."
+HINT = "The camera gave an old photograph; retake it."
 
 
 def strangers(session: Session) -> tuple[list[LightstageError], list[Finding]]:

@@ -71,7 +71,7 @@ def room_findings(left: Left, model: BallModel, rig: Rig, config: ChecksConfig) 
             f"at most {100 * config.warn_ambient_share:g} %",
             "Darken the room, or look for a lamp that does not go out."
             if leak
-            else "The light of the three patterns was not the same: look at the lamps' supply.",
+            else "The light of the three patterns was not the same: check the lamps' supply.",
             left.pattern,
             None,
         )

@@ -28,11 +28,12 @@ from lightstage.formats.session import (
 )
 from lightstage.formats.sums import UNCHECKED, Balance, axes_alike, has_gradient, sum_fault
 from lightstage.photo_file import identify
-from lightstage.resume_line import known_options, resume_line, watch_line
+from lightstage.resume_line import known_options
 from lightstage.sequence import Shot
 from lightstage.session import Accepted, accepted_findings, disagreements, read_journal
 from lightstage.session.manifest import MANIFEST, check_manifest
 from lightstage.session.opening import JOURNAL
+from lightstage.ways import readers_ways
 
 DARK_LEVEL = 1e-3
 """Mean, as a share of white, below which a photograph is noise and compared as this bright."""
@@ -118,7 +119,7 @@ def check_session(
         findings += checks.shot(pattern)
     problems += _overexposed(session, clipped)
     accepted: Accepted = {}
-    with contextlib.suppress(LightstageError):  # of a broken journal is told above
+    with contextlib.suppress(LightstageError):  # a broken journal is reported above
         accepted = accepted_findings(read_journal(root / JOURNAL)) if has_journal else {}
     worst, sums, unlike = _compare_sums(session, means, accepted)
     problems += unlike
@@ -175,7 +176,7 @@ def _doubled(session: Session) -> list[LightstageError]:
                     field="sha256",
                     found=f"the bytes of {first.path}",
                     expected="a photograph of its own",
-                    hint="The camera gave an old picture; take that shot again.",
+                    hint="The camera gave an old picture; retake that shot.",
                 )
             )
     return problems
@@ -184,13 +185,13 @@ def _doubled(session: Session) -> list[LightstageError]:
 def _load(root: Path) -> Session:
     unfinished = (root / "journal.jsonl").is_file() and not (root / "session.json").is_file()
     if unfinished:
-        again = resume_line(root, known_options(read_journal(root / "journal.jsonl")))
+        ways, options = readers_ways(), known_options(read_journal(root / "journal.jsonl"))
+        how = [ways.follow(root), ways.resume(root, options)]
         raise FormatError(
             root / "session.json",
             found="only a journal",
             expected="a finished session",
-            hint=f"While it is captured: {watch_line(root)}. "
-            f"If the capture was interrupted: {again}",
+            hint="\n  ".join(["Its capture runs or was interrupted.", *filter(None, how)]),
         )
     return load_session(root)
 
@@ -259,9 +260,7 @@ def _compare_sums(
         ]
         hint = ""
         if faulty:
-            hint = (
-                f"Its photograph of {' and '.join(faulty)} was accepted with faults: take it again."
-            )
+            hint = f"Its photograph of {' and '.join(faulty)} was accepted with faults: retake it."
         fault = sum_fault(session.root, camera, one, left + short, right + short, hint)
         if fault is not None:
             problems.append(fault)

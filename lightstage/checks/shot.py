@@ -432,7 +432,7 @@ def _stale(pattern: str, camera_id: str, old: tuple[str, str]) -> Finding:
         where(pattern, camera_id),
         f"the very picture of {old[1]} under {old[0]}",
         "a picture of its own: noise never repeats",
-        "The camera gave an old picture; take it again.",
+        "The camera gave an old picture; retake it.",
         pattern,
         camera_id,
     )

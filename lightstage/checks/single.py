@@ -28,7 +28,7 @@ def unreadable(error: FormatError, pattern: str, camera_id: str) -> Finding:
         where(pattern, camera_id),
         error.found or str(error),
         error.expected or "a photograph",
-        error.hint or "Take it again; if it comes again, look at this camera's card and cable.",
+        error.hint or "Retake it; if the fault returns, check this camera's card and cable.",
         pattern,
         camera_id,
     )

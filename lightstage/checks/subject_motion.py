@@ -21,7 +21,7 @@ SCALES = ((6.0, 4, 2), (3.0, 2, 2), (1.5, 2, 1))
 """Blur under which shifts are solved, one after the other: its standard deviation and the step
 between the cells that are used, both in cells, and how often it is repeated."""
 MARGIN = 8
-"""Cells around the lit part that are looked at."""
+"""Cells around the lit part that are compared."""
 FARTHEST = 12.0
 """Shifts beyond this many cells are not believed."""
 MIN_EDGES = 4.0

@@ -1,6 +1,6 @@
 """Who may see the page and press its keys: this computer's user, with the address that was printed.
 
-Four things are looked at before anything else. The other end must be this computer, or the one that
+Four things are checked before anything else. The other end must be this computer, or the one that
 `--allow-from` names. ``Host`` must be an address that we serve, or a page of somebody else's name
 could reach us by a name that leads here (DNS rebinding). A session cookie must be ours, which the
 token in the printed address opens. What changes something is a POST with our ``Origin`` and with
@@ -77,8 +77,8 @@ class Visitors:
         return value
 
     def of(self, cookie: str) -> Visitor | None:
-        """Whose a cookie is; None where it is nobody's."""
-        # A hash table finds it: 256 bits of chance cannot be guessed by how long that takes.
+        """The browser that has a cookie; None where no browser has it."""
+        # A look-up of 256 random bits in a hash table: its run time does not help to guess them.
         return self._known.get(cookie)
 
 
@@ -107,10 +107,10 @@ class Guard:
         self._visitors = visitors
         self._clients = frozenset(clients)
         port = next(iter(hosts)).rpartition(":")[2]
-        self.cookie = f"lightstage-{port}"  # cookies do not tell ports apart
+        self.cookie = f"lightstage-{port}"  # a browser sends its cookies to every port
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer by itself, or pass on."""
+        """Answer a request that may not pass; let the application answer any other."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -127,7 +127,7 @@ class Guard:
         await target(scope, receive, sent)
 
     def _answer(self, scope: Scope) -> Response | None:
-        """What is answered in the application's place; None where it may answer."""
+        """The refusal or redirection of a request; None where the application may answer it."""
         headers = Headers(scope=scope)
         client = (scope.get("client") or ("", 0))[0]
         if client not in ("127.0.0.1", "::1") and client not in self._clients:
@@ -165,10 +165,10 @@ class Guard:
 
 
 def _from_our_page(headers: Headers, origin: str) -> bool:
-    """Whether a browser says that a POST comes from a page of ours.
+    """Whether a POST comes from a page of ours, by its headers.
 
-    A form that is sent without scripts has the origin ``null``, since our pages tell no referrer;
-    then the browser must say by ``Sec-Fetch-Site``, which no page can set, that it is our own.
+    A form that is sent without scripts has the origin ``null``, since our pages send no referrer;
+    then ``Sec-Fetch-Site``, which the browser alone can set, must state the same origin.
     """
     site = headers.get("sec-fetch-site")
     if headers.get("origin") == "null":

@@ -1,4 +1,4 @@
-"""Pictures that were made, and the processes that make them."""
+"""The pictures that the page shows: the processes that make them, and those that are kept."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Album:
         self._sums = _Kept(LARGE_KEPT)
 
     async def thumbnail(self, photograph: Photograph) -> bytes:
-        """A small JPEG; FormatError where there is none to be made."""
+        """A small JPEG; FormatError where the photograph cannot be read."""
         key = (photograph.path, photograph.sha256)
         pixels = self._config.thumbnail_px
         data: bytes = await self._small.get(
@@ -76,7 +76,7 @@ class Album:
         return made
 
     def start(self) -> None:
-        """Have the processes ready before the first photograph comes."""
+        """Start the processes, so that the first photograph does not wait for them."""
         for _ in range(self._config.makers):
             self._executor().submit(behind_is_ready)
 
@@ -114,14 +114,13 @@ class Album:
 
 
 def behind_is_ready() -> bool:
-    """Asked of a new process, which has imported this file then."""
-    importlib.import_module("rawpy")  # the first photograph shall not wait for it
-
+    """The first work of a new process: it imports this file, and rawpy."""
+    importlib.import_module("rawpy")  # else the first photograph waits for it
     return True
 
 
 class _Kept:
-    """What was made, and what is being made: nothing is made twice at a time."""
+    """Results that were made and that are being made: no two tasks make the same one."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -140,7 +139,7 @@ class _Kept:
     def _done(self, key: Any, made: asyncio.Future[Any]) -> None:
         self._making.pop(key, None)
         if made.cancelled() or made.exception() is not None:
-            return  # a file that is mended meanwhile is looked at again
+            return  # it is read again: the file may have been repaired meanwhile
         self._made[key] = made.result()
         while len(self._made) > self._most:
             self._made.popitem(last=False)

@@ -28,7 +28,7 @@ from lightstage.console.access import CSRF_FIELD, CSRF_HEADER, Guard, Visitors, 
 from lightstage.console.album import why_not
 from lightstage.console.desk import CHECK, LOOK, STAGE, Desk
 from lightstage.console.following import Followed, Photograph
-from lightstage.console.showing import Person, page_words
+from lightstage.console.showing import Person
 from lightstage.day import PUBLISHED, Planned, PlannedSubject
 from lightstage.errors import ConfigError, FormatError, LightstageError
 from lightstage.operator.words import heard_words
@@ -149,11 +149,11 @@ class Pages:
         return self._page(request, "plan.html", "Plan", await _away(values))
 
     async def live(self, request: Request) -> Response:
-        """The session that runs, or the last one; a capture on its way there until it begins."""
+        """The session that runs, or the last one; before it has a journal, that it is starting."""
         name, state = await _away(self._desk.current)
         if name and await _away((self._desk.folder / name / "journal.jsonl").exists):
             return RedirectResponse(f"/session/{_quoted(name)}", 303)
-        problem = page_words(state.said) if state is not None and state.failed else ""
+        problem = state.output if state is not None and state.failed else ""
         values = {"name": name, "job": state, "problem": problem}
         return self._page(request, "starting.html", "Live", values)
 
@@ -163,7 +163,7 @@ class Pages:
         return self._page(request, "session.html", values["name"], values)
 
     async def session_part(self, request: Request) -> Response:
-        """What changes of it."""
+        """The part of that page which changes."""
         values = await _away(self._session_values, request.path_params["name"])
         return self._part(request, "session_part.html", values)
 
@@ -173,9 +173,9 @@ class Pages:
         own = state if state is not None and state.job.session == name else None
         values = showing.desk_values(followed, own, self._desk.config.most_rows)
         following, all_done = None, False
-        # Whoever starts the next one waits for this one's process to end.
+        # The next one is not offered before this one's process has ended.
         if followed.view.over and not values["starting"]:
-            with contextlib.suppress(LightstageError):  # the plan's own page says what is wrong
+            with contextlib.suppress(LightstageError):  # the plan's own page shows what is wrong
                 takes = self._desk.takes()
                 following = next((each for each in takes if each.open), None)
                 all_done = bool(takes) and all(each.stand == "done" for each in takes)
@@ -189,12 +189,12 @@ class Pages:
         }
 
     async def events(self, request: Request) -> Response:
-        """The journal's lines as server-sent events; ``Last-Event-ID`` goes on after that line."""
+        """The journal's lines as server-sent events, after ``Last-Event-ID`` where it is given."""
         name = request.path_params["name"]
         followed = await _away(self._desk.followed, name)
         given = request.headers.get("last-event-id") or request.query_params.get("after", "")
         after = int(given) if given.isdecimal() and len(given) < 16 else followed.view.last_id
-        # A page of before another journal lay here knows ids that are not there yet.
+        # A page that was loaded from another journal of this name may hold larger ids.
         after = min(after, followed.view.last_id)
         stream = self._stream(followed, after, request.is_disconnected)
         return Stream(stream, media_type="text/event-stream", headers={"X-Accel-Buffering": "no"})
@@ -207,15 +207,15 @@ class Pages:
         quiet_s, phase = 0.0, ""
         while not self._desk.closing.is_set() and not await gone():
             try:
-                await _away(followed.look)
+                await _away(followed.update)
             except (OSError, LightstageError):
-                return  # the folder is gone; the page looks again and is told
+                return  # the folder is gone; the page asks again and gets an error
             news = followed.after(after)
             for event in news:
                 after = event.id
-                yield f"id: {event.id}\ndata: {json.dumps(event.told)}\n\n".encode()
+                yield f"id: {event.id}\ndata: {json.dumps(event.data)}\n\n".encode()
             now = f"{followed.view.phase} {followed.live}"
-            if not news and now != phase and phase:  # such as: its process is gone
+            if not news and now != phase and phase:  # such as when its process is gone
                 yield b"data: {}\n\n"
             phase = now
             quiet_s = 0.0 if news else quiet_s + config.look_s
@@ -237,7 +237,7 @@ class Pages:
         )
 
     async def large(self, request: Request) -> Response:
-        """A large one, clipped pixels painted."""
+        """A large picture of a photograph, with clipped pixels painted."""
         photograph = (await self._photograph(request))[0]
         try:
             data, _ = await self._desk.album.large(photograph)
@@ -260,9 +260,9 @@ class Pages:
         return self._part(request, "look.html", values)
 
     async def focus(self, request: Request) -> Response:
-        """How sharp it is: measured apart, so that the picture does not wait for it."""
+        """How sharp a photograph is: its own request, so that the picture does not wait for it."""
         photograph, others = await self._photograph(request)
-        # The first that the camera took, and of that one the next.
+        # Compare with the camera's first photograph; the first itself with the second.
         pattern, other = next((each for each in others if each[1] != photograph), ("", None))
         try:
             measured = await self._desk.album.focus(photograph, other)
@@ -272,7 +272,7 @@ class Pages:
         return self._part(request, "focus.html", {"words": words})
 
     async def sum(self, request: Request) -> Response:
-        """How it adds up with others of its camera."""
+        """How the light of a photograph sums with others of its camera."""
         found = await self._sum(request)
         values: dict[str, Any] = {**request.path_params, "pictured": False, "words": NO_SUM}
         if found is not None:
@@ -284,7 +284,7 @@ class Pages:
         return self._part(request, "sum.html", values)
 
     async def sum_jpg(self, request: Request) -> Response:
-        """The picture of that."""
+        """The picture of that sum."""
         found = await self._sum(request)
         try:
             if found is not None:
@@ -320,7 +320,7 @@ class Pages:
         return self._page(request, "devices.html", "Devices", await _away(self._device_values))
 
     async def devices_part(self, request: Request) -> Response:
-        """What changes of them."""
+        """The part of that page which changes."""
         return self._part(request, "devices_part.html", await _away(self._device_values))
 
     def _device_values(self) -> dict[str, Any]:
@@ -338,15 +338,14 @@ class Pages:
         def values() -> dict[str, Any]:
             seen = list(reversed(self._desk.sessions()))
             checking = self._desk.runner.state(CHECK)
-            # A check that could note why it failed is shown with its session.
+            # Where a check recorded why it failed, that is shown with its session.
             noted = {each.root.name for each in seen if each.why}
             failed = checking is not None and checking.failed and checking.job.session not in noted
             return {
                 "sessions": seen,
                 "folder": self._desk.folder,
                 "checking": checking,
-                "problem": page_words(checking.said) if failed and checking else "",
-                "page_words": page_words,
+                "problem": checking.output if failed and checking else "",
             }
 
         return self._page(request, "sessions.html", "Sessions", await _away(values))
@@ -365,7 +364,7 @@ class Pages:
         )
 
     async def change_plan(self, request: Request) -> Response:
-        """Add or remove a person, move a take, want one again."""
+        """Add or remove a person, move a take, or plan another session of it."""
         form = await self._form(request)
         act, name, stamp = request.path_params["act"], form.get("take", ""), form.get("stamp", "")
         desk = self._desk
@@ -399,17 +398,17 @@ class Pages:
         return self._to(request, "/live")
 
     async def act(self, request: Request) -> Response:
-        """Ask a running capture for something, go on with a stopped one, retake, or check."""
+        """Send a request to a running capture, resume a session, retake or check."""
         form = await self._form(request)
         name, act = request.path_params["name"], request.path_params["act"]
         if act == "do":
             do, pattern = form.get("do", ""), form.get("pattern", "")
             why = await _away(self._desk.ask, name, do, pattern)
             of = "" if form.get("answer") else pattern
-            said = heard_words(do, of) if why is None else f"Not now: {why}."
-            return self._said(request, said, f"/session/{_quoted(name)}")
+            text = heard_words(do, of) if why is None else f"Not now: {why}."
+            return self._message(request, text, f"/session/{_quoted(name)}")
         if act == "resume":
-            await _away(self._desk.go_on, name)
+            await _away(self._desk.resume, name)
             return self._to(request, "/live")
         if act == "retake":
             pattern, camera = form.get("pattern", ""), form.get("camera", "")
@@ -421,13 +420,13 @@ class Pages:
         raise ConfigError("session", found=ascii(act[:40]), expected="do, resume, retake or check")
 
     async def look_at_devices(self, request: Request) -> Response:
-        """Start a look at the devices."""
+        """Start a check of the devices."""
         await self._form(request)
         await _away(self._desk.look_at_devices)
         return self._to(request, "/devices")
 
     async def refused(self, request: Request, error: Exception) -> Response:
-        """What cannot be done, in words: a page, or a line for what htmx asked."""
+        """An error in words: a page of its own, or one line where htmx sent the request."""
         if isinstance(error, LightstageError):
             text, status = str(error), 422
             if request.method in ("GET", "HEAD"):
@@ -435,12 +434,12 @@ class Pages:
         else:
             text, status = "There is no such page.", getattr(error, "status_code", 404)
         if "hx-request" in request.headers:
-            return self._said(request, text, "")
+            return self._message(request, text, "")
         values = {"text": text}
         return self._page(request, "message.html", "Not possible", values, status)
 
     async def _form(self, request: Request) -> dict[str, str]:
-        """The fields of a POST whose second token is its session's."""
+        """The fields of a POST; ConfigError where its second token is not that of its session."""
         data = b""
         async for piece in request.stream():
             data += piece
@@ -469,17 +468,17 @@ class Pages:
         return HTMLResponse(self._templates.get_template(template).render(base | values))
 
     def _to(self, request: Request, path: str) -> Response:
-        """Go to a page, as a form or as htmx does."""
+        """Send the browser to a page, in the way of a form or of htmx."""
         if "hx-request" in request.headers:
             return Response(headers={"HX-Redirect": path})
         return RedirectResponse(path, 303)
 
-    def _said(self, request: Request, text: str, back: str) -> Response:
+    def _message(self, request: Request, text: str, back: str) -> Response:
         """One line for the operator."""
         if "hx-request" in request.headers or not back:
             # A button may be drawn anew before its answer comes: htmx then finds no other place.
-            away = request.headers.get("hx-target") != "said"
-            moved = {"HX-Retarget": "#said", "HX-Reswap": "innerHTML"} if away else {}
+            away = request.headers.get("hx-target") != "message"
+            moved = {"HX-Retarget": "#message", "HX-Reswap": "innerHTML"} if away else {}
             return HTMLResponse(html.escape(text), headers=moved)
         return RedirectResponse(back, 303)
 

@@ -35,30 +35,34 @@ def register(app: typer.Typer) -> None:
 
 def console_command(
     plan: Path = output_file(
-        "--plan", help="The day's plan; made when somebody adds to it.", suffixes=[".toml"]
+        "--plan", help="The day's plan (TOML); made when somebody adds to it.", suffixes=[".toml"]
     ),
-    rig: Path | None = typer.Option(None, help="rig.json: where lights and cameras stand."),
-    leds: str | None = typer.Option(None, help="As of `capture`; without it nothing is captured."),
+    rig: Path | None = typer.Option(None, help="rig.json: the places of lamps and cameras."),
+    leds: str | None = typer.Option(
+        None, help="The LED device, as for `capture`; without it nothing is captured."
+    ),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
-    config: Path | None = typer.Option(None, help="TOML of limits, as of `capture`."),
-    calibration: Path | None = typer.Option(
-        None, help="The lab's folder of calibration shots, as of `capture`."
+    config: Path | None = typer.Option(
+        None, help="TOML with other values than the defaults, as for `capture`."
     ),
-    colour: Path | None = typer.Option(None, help="A colour calibration, as of `capture`."),
+    calibration: Path | None = typer.Option(
+        None, help="The lab's folder of calibration shots, as for `capture`."
+    ),
+    colour: Path | None = typer.Option(None, help="A colour calibration, as for `capture`."),
     processed: Path | None = typer.Option(
         None, help="Folder of processed folders, whose reports open from the page."
     ),
     port: int = typer.Option(
-        ConsoleConfig().port, help="Of this computer; 0 takes a free one, else from 1024."
+        ConsoleConfig().port, help="Port of this computer, 1024 or more; 0 takes a free one."
     ),
     allow_from: str | None = typer.Option(
         None,
         help="Address of one other computer that may see the page and press its keys. Opens a port "
-        "to that network without encryption: who reads along there sees photographs and token.",
+        "to that network without encryption: whoever records it sees photographs and the token.",
     ),
     as_json: bool = JsonFlag,
 ) -> None:
-    """Serve the operator's page on 127.0.0.1 until Ctrl-C; captures go on without it."""
+    """Serve the operator's page on 127.0.0.1 until Ctrl-C; captures continue without it."""
     stage = _stage(rig, leds, cameras, config, calibration, colour)
     if port and not LEAST_PORT <= port <= MOST_PORT:
         expected = f"0, or from {LEAST_PORT} to {MOST_PORT}"
@@ -87,11 +91,11 @@ def console_command(
             serving(guarded(desk, token, hosts, clients), sockets, desk.closing)
         )
         urls = [f"http://{address}:{served}/?{TOKEN}={token}" for address in addresses]
-        print(f"Open {urls[0]}\nCtrl-C ends the page; a capture that runs goes on.", flush=True)
+        print(f"Open {urls[0]}\nCtrl-C ends the page; a capture that runs continues.", flush=True)
         if outside is not None:
             print(
-                f"From {allow_from} open {urls[1]}\nThat way is not encrypted: who reads along on "
-                "this network sees the photographs, and the token with which to press keys.",
+                f"From {allow_from} open {urls[1]}\nThat connection is not encrypted: whoever "
+                "records it sees the photographs, and the token that lets them press keys.",
                 flush=True,
             )
         try:
@@ -100,7 +104,7 @@ def console_command(
         except KeyboardInterrupt:
             pass
     running = desk.running()
-    on = f"; the capture of {running} goes on" if running else ""
+    on = f"; the capture of {running} continues" if running else ""
     finish(f"{plan}: page closed{on}", {"plan": str(plan), "running": running or None}, as_json)
 
 
@@ -112,7 +116,7 @@ def _stage(
     calibration: Path | None,
     colour: Path | None,
 ) -> StageOptions | None:
-    """What captures are started with; looked at before the page is there."""
+    """The options that captures are started with, checked before the page is served."""
     if rig is None or leds is None:
         given = {
             "--rig": rig,

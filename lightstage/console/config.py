@@ -10,19 +10,19 @@ class ConsoleConfig:
     """How the page is served.
 
     Attributes:
-        port: of 127.0.0.1; 0 takes a free one.
-        look_s: how often a journal is looked at for what the page shows.
-        alive_s: a stream without news says so often that it lives.
-        form_bytes: longest form that is read.
-        visitors: sessions of browsers that are remembered; the oldest go first.
-        thumbnail_px: longer side of the small pictures.
-        large_px: longer side of the pictures that a click shows.
-        sum_px: longer side of the pictures of light that should add up.
-        thumbnails: small pictures that are kept in memory.
-        makers: processes that make pictures, behind the capture in the queue for the processor.
-        picture_s: longest time for one picture.
-        page_events: lines of a journal that a page gets at most when it comes back.
-        most_rows: patterns that the live view shows at a time, beside those that need somebody.
+        port: port on 127.0.0.1; 0 takes a free one.
+        look_s: seconds between two reads of a journal.
+        alive_s: seconds without news after which a stream sends a sign of life.
+        form_bytes: bytes of the longest form that is accepted.
+        visitors: number of browsers whose logins are kept; the oldest are dropped first.
+        thumbnail_px: longer side of a small picture.
+        large_px: longer side of the picture that a click shows.
+        sum_px: longer side of the picture of a sum of light.
+        thumbnails: number of small pictures that are kept in memory.
+        makers: number of processes that make pictures; the capture has the processor before them.
+        picture_s: seconds after which a picture is given up.
+        page_events: number of journal lines, at most, that a page gets when it reconnects.
+        most_rows: number of patterns that the live view shows, beside those that need somebody.
     """
 
     port: int = 8750

@@ -33,14 +33,14 @@ from lightstage.operator.client import answers, ask
 from lightstage.session.opening import JOURNAL
 
 ENDING_S = 10.0
-"""A capture lets its cameras go within this after its last word."""
+"""Seconds within which a capture releases its cameras after its journal's last line."""
 STAGE, LOOK, CHECK = "stage", "devices", "check"
-"""Kinds of jobs: one capture at a time; a look at the devices; a check of a session."""
+"""Kinds of jobs: a capture, a check of the devices, a check of a session; one of each at a time."""
 
 
 @dataclasses.dataclass(frozen=True)
 class StageOptions:
-    """The stage, as `lightstage capture` is given it; paths are whole ones.
+    """The stage as options of `lightstage capture`, with absolute paths.
 
     Attributes:
         rig: rig.json.
@@ -72,13 +72,13 @@ class StageOptions:
 
 
 class Desk:
-    """The operator's desk; several threads may call.
+    """Everything that an operator can do from the page; several threads may call.
 
     Args:
-        plan: the day's plan; a file that is not there is an empty plan until somebody adds to it.
-        stage: the devices; None where nothing can be captured from here.
+        plan: the day's plan; a missing file is an empty plan until somebody adds to it.
+        stage: the devices; None for a page that cannot capture.
         processed: folder of processed folders.
-        config: of the page.
+        config: of the page's server.
     """
 
     def __init__(
@@ -100,10 +100,10 @@ class Desk:
         self._changing = threading.Lock()
 
     def plan(self) -> DayPlan:
-        """The plan as its file says now.
+        """The plan as its file has it now.
 
         Raises:
-            ConfigError: as `read_plan`, or another folder of sessions than at the beginning.
+            ConfigError: as `read_plan`, or another folder of sessions than when the console began.
         """
         plan = self._read()
         if sessions_folder(plan, self.path) != self.folder:
@@ -120,20 +120,20 @@ class Desk:
         return read_plan(self.path) if self.path.exists() else DayPlan()
 
     def stamp(self) -> str:
-        """Of the plan's file as it is now: a page from before it changed has another."""
+        """A hash of the plan's file: a page that was loaded before a change holds another one."""
         data = self.path.read_bytes() if self.path.is_file() else b""
         return hashlib.sha256(data).hexdigest()[:16]
 
     def takes(self) -> list[Planned]:
-        """Every take with what came of it."""
+        """Every take with its sessions."""
         return planned(self.plan(), self.path)
 
     def change(self, stamp: str, how: Callable[[DayPlan], DayPlan]) -> None:
-        """Change the plan as a page wants it that shows the plan of this stamp.
+        """Change the plan; the page that asks for it must show the present plan, by its stamp.
 
         Raises:
-            CaptureError: the file changed meanwhile.
-            ConfigError: what would be no plan.
+            CaptureError: the file was changed after the page was loaded.
+            ConfigError: the changed plan would not be valid.
         """
         with self._changing:
             if stamp != self.stamp():
@@ -141,7 +141,7 @@ class Desk:
                     self.path,
                     found="a plan that was changed meanwhile",
                     expected="the one that your page shows",
-                    hint="Look at it as it is now, and try again.",
+                    hint="Reload the page, and try again.",
                 )
             write_plan(self.path, how(self.plan()))
 
@@ -160,8 +160,8 @@ class Desk:
         words += stage.devices() if found.stand == "begun" else stage.capture()
         self.runner.start(STAGE, found.take.name, found.folder.name, words)
 
-    def go_on(self, name: str) -> None:
-        """Go on with an unfinished session; errors as `start`."""
+    def resume(self, name: str) -> None:
+        """Resume an unfinished session; errors as `start`."""
         stage = self._stage()
         self._require_idle()
         root = self.root(name)
@@ -169,7 +169,7 @@ class Desk:
         self.runner.start(STAGE, name, name, words)
 
     def retake(self, name: str, pattern: str, camera: str) -> None:
-        """Take one photograph of a session that does not run again; errors as `start`."""
+        """Retake one photograph of a session that is not being captured; errors as `start`."""
         stage = self._stage()
         self._require_idle()
         root = self.root(name)
@@ -179,7 +179,7 @@ class Desk:
         self.runner.start(STAGE, f"{name}: {pattern} by {camera}", name, words)
 
     def remove(self, stamp: str, subject: str) -> None:
-        """Take a person off the plan who has no session; errors as `change`."""
+        """Remove a person who has no session from the plan; errors as `change`."""
 
         def without(plan: DayPlan) -> DayPlan:
             own = f"{subject}+"  # also of a session that is damaged, or begins just now
@@ -193,14 +193,14 @@ class Desk:
                     subject,
                     found=f"{counted(len(names), 'session')} ({', '.join(sorted(names)[:5])})",
                     expected="a person without a session",
-                    hint="Who has one stays in the plan, with the consent that belongs to it.",
+                    hint="A person with a session stays in the plan, with its consent.",
                 )
             return plan.without_subject(subject)
 
         self.change(stamp, without)
 
     def ask(self, name: str, do: str, pattern: str = "") -> str | None:
-        """Ask a running capture for something; why not, or None where it is accepted.
+        """Send a request to a running capture; why it is refused, None where it is accepted.
 
         Args:
             name: of the session.
@@ -213,13 +213,13 @@ class Desk:
         except (CaptureError, FormatError) as error:
             state = self.runner.state(STAGE)
             own = state is not None and state.running and state.job.session == name
-            # It has not come to its journal yet, or is on its way out: lights dark, in order.
+            # It has no journal yet, or is ending: a signal ends it in order, with lights dark.
             if do == "abort" and own and self.runner.stop(STAGE):
                 return None
             return f"no capture runs in this session ({error.found or 'it is over'})"
 
     def look_at_devices(self) -> None:
-        """Start a look at the devices; errors as `start`."""
+        """Start a check of the devices; errors as `start`."""
         stage = self._stage()
         self._require_idle()
         words = ["devices", "--rig", str(stage.rig), *stage.devices()]
@@ -227,7 +227,7 @@ class Desk:
         self.runner.start(LOOK, "devices", "", words)
 
     def check(self, name: str) -> None:
-        """Start a check of a session, which notes what it found there."""
+        """Start a check of a session, which records its result in the folder."""
         self.runner.start(CHECK, name, name, ["check", str(self.root(name)), "--record"])
 
     def root(self, name: str) -> Path:
@@ -243,7 +243,7 @@ class Desk:
         return found[0]
 
     def followed(self, name: str) -> Followed:
-        """A session as it stands now; FormatError where it has no journal."""
+        """A session in its present state; FormatError where it has no journal."""
         return self.following.of(self.root(name))
 
     def sessions(self) -> list[Seen]:
@@ -253,7 +253,7 @@ class Desk:
         return sessions_of(self.folder, self.processed)
 
     def current(self) -> tuple[str, JobState | None]:
-        """Name of the session that runs, or that was worked on last, and the page's own job."""
+        """Name of the session that runs or ran last, and the last capture that the page started."""
         state = self.runner.state(STAGE)
         if state is not None and state.running:
             return state.job.session, state
@@ -264,21 +264,21 @@ class Desk:
         if not dated:
             return ("" if state is None else state.job.session), state
         newest = max(dated)[1]
-        # The journal of a job that failed, or was stopped, before it began is not there.
+        # A job that failed or was stopped before its session began has no journal.
         ended = state is not None and (state.failed or state.stopped)
         if state is not None and ended and not (self.folder / state.job.session).exists():
             return state.job.session, state
         return newest.name, state
 
     def running(self) -> str:
-        """Name of the session whose capture runs, also one that a terminal started; else empty."""
+        """Name of the session that is being captured, from the page or a terminal; else empty."""
         name, state = self.current()
         if state is not None and state.running:
             return name
         return name if name and answers(self.folder / name) else ""
 
     def _is_over(self, name: str) -> bool:
-        """Whether a session's capture has said its last word, and lets its devices go."""
+        """Whether a session's journal has its last line, after which the devices are released."""
         try:
             return self.followed(name).view.over
         except LightstageError:
@@ -301,7 +301,7 @@ class Desk:
         return self.stage
 
     def _require_idle(self) -> None:
-        """CaptureError where the stage is in use; one that ends just now is waited for."""
+        """CaptureError where the stage is in use; waits for a capture that is just ending."""
         until = time.monotonic() + ENDING_S
         while (running := self.running()) and time.monotonic() < until and self._is_over(running):
             time.sleep(0.1)
@@ -309,7 +309,9 @@ class Desk:
         if running or (looking is not None and looking.running):
             raise CaptureError(
                 "the stage",
-                found=f"{running} is being captured" if running else "the devices are looked at",
+                found=f"{running} is being captured"
+                if running
+                else "the devices are being checked",
                 expected="an idle one",
                 hint="Wait for its end, or stop it.",
             )

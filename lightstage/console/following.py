@@ -1,6 +1,6 @@
-"""A session as the page sees it: its journal's lines, and what stands now.
+"""A session as the page shows it: its journal's lines, and its present state.
 
-Nothing is kept that is not in the journal, so a server that starts again shows the same.
+All of it comes from the journal, so a server that starts again shows the same.
 """
 
 from __future__ import annotations
@@ -23,19 +23,20 @@ from lightstage.formats.paths import path_inside
 from lightstage.operator.journal_stream import JournalTail
 from lightstage.operator.runtime import socket_answers
 from lightstage.operator.view import View
-from lightstage.operator.words import PRESSED, SIGNS, number_of, text_of
+from lightstage.operator.words import SIGNS, number_of, text_of
 from lightstage.session.opening import JOURNAL
+from lightstage.ways import PRESSED
 
 ALIVE_S = 1.0
 """How often a running capture's socket is tried."""
 GRACE_S = 5.0
-"""A capture that has just begun tells its socket within this."""
+"""Seconds within which a capture that has just begun writes its socket into the journal."""
 
 Sound = str
 
 
 class Photograph(NamedTuple):
-    """Where one photograph lies.
+    """The file of one photograph.
 
     Attributes:
         path: on the disk.
@@ -53,11 +54,11 @@ class Event(NamedTuple):
 
     Attributes:
         id: of the line.
-        told: as JSON has it.
+        data: what the page gets, as JSON.
     """
 
     id: int
-    told: dict[str, Any]
+    data: dict[str, Any]
 
 
 class Followed:
@@ -65,7 +66,7 @@ class Followed:
 
     Args:
         root: its folder.
-        kept: so many last lines are remembered for pages that come back.
+        kept: number of last lines that are kept for pages that reconnect.
 
     Raises:
         FormatError: no journal.
@@ -75,32 +76,32 @@ class Followed:
         self.root = root
         self.view = View(str(root), PRESSED)
         self._tail = JournalTail(root / JOURNAL)
-        weakref.finalize(self, self._tail.close)  # when nobody looks at it any more
+        weakref.finalize(self, self._tail.close)  # once no page needs it
         self._lock = threading.Lock()
         self._photographs: dict[tuple[str, str], Photograph] = {}
         self._warmth = Warmth()
         self._levels: dict[str, np.ndarray] = {}
         self._events: collections.deque[Event] = collections.deque(maxlen=kept)
         self._socket = ""
-        self._told_s = -float("inf")
+        self._written_s = -float("inf")
         self._tried_s = -float("inf")
         self._live = False
         self._first = True
         self._still = False
 
     def close(self) -> None:
-        """Let go of the journal."""
+        """Close the journal."""
         self._tail.close()
 
-    def look(self) -> None:
-        """Take up what the journal has gained, and whether its capture still lives."""
+    def update(self) -> None:
+        """Read the journal's new lines, and test whether its capture still runs."""
         with self._lock:
             lines = self._tail.read()
             for line in lines:
                 self._take_up(line)
             now = time.monotonic()
             if lines and not self._first:
-                self._told_s = now
+                self._written_s = now
             self._first = False
             if not self.view.over or self.view.phase == "gone":
                 self._try(now)
@@ -110,13 +111,13 @@ class Followed:
             return
         self._tried_s = now
         self._live = bool(self._socket) and socket_answers(Path(self._socket))
-        if not self._live and now - self._told_s > GRACE_S:
+        if not self._live and now - self._written_s > GRACE_S:
             self.view.gone()
 
     def _take_up(self, line: Mapping[str, Any]) -> None:
-        said = self.view.told(line)
+        words = self.view.receive(line)
         event = text_of(line, "event")
-        self._warmth.told(line, self.view.pattern is not None)
+        self._warmth.receive(line, self.view.pattern is not None)
         if event in ("begin", "resume"):
             self._socket, self._still, self._live = "", False, False
         self._socket = text_of(line, "socket") or self._socket
@@ -127,20 +128,20 @@ class Followed:
         levels = levels_of(line) if event == "lit" else None
         if levels is not None:
             self._levels[text_of(line, "pattern")] = levels
-        told = {
+        data = {
             "id": self.view.last_id,
             "event": event,
-            "tone": said.tone,
-            "sign": SIGNS[said.tone],
-            "text": said.text,
-            "todo": said.todo,
+            "tone": words.tone,
+            "sign": SIGNS[words.tone],
+            "text": words.text,
+            "todo": words.todo,
             "at": text_of(line, "time_utc")[11:19],
             "sound": self._sound(line, event),
         }
-        self._events.append(Event(self.view.last_id, told))
+        self._events.append(Event(self.view.last_id, data))
 
     def _sound(self, line: Mapping[str, Any], event: str) -> Sound:
-        """What is heard: ``hold`` as light begins, ``done`` at the end, ``look`` for somebody."""
+        """The page's sound: ``hold`` as light begins, ``done`` at the end, ``look`` for help."""
         if event == "lit" and not self._still:
             self._still = True
             return "hold"
@@ -157,18 +158,18 @@ class Followed:
         try:
             path = path_inside(self.root, line.get("path"), self.root / JOURNAL, "path")
         except FormatError:
-            return  # a journal that was changed: its photograph is not shown
+            return  # a path that leads out of the folder: the photograph is not shown
         take = int(number_of(line, "take") or 1)
         self._photographs[pattern, camera] = Photograph(path, take, text_of(line, "sha256"))
 
     def budget(self) -> Budget | None:
-        """What its lights have spent of their warmth and time until now."""
+        """What its lights have used of their limits of heat and time until now."""
         with self._lock:
             return self._warmth.budget(datetime.datetime.now(datetime.UTC))
 
     @property
     def live(self) -> bool:
-        """Whether its capture runs and can be asked."""
+        """Whether its capture runs and accepts requests."""
         return self._live and not self.view.over
 
     def photograph(self, pattern: str, camera: str) -> Photograph | None:
@@ -176,36 +177,36 @@ class Followed:
         return self._photographs.get((pattern, camera))
 
     def photographs_of(self, camera: str) -> list[tuple[str, Photograph]]:
-        """A camera's photographs with their patterns, the first first."""
+        """A camera's photographs with their patterns, in the order in which they were taken."""
         return [(p, each) for (p, c), each in list(self._photographs.items()) if c == camera]
 
     def sum_of(self, pattern: str, camera: str) -> tuple[Sum, tuple[Photograph, ...]] | None:
-        """Two patterns and the third that they sum to, one of them this, all photographed.
+        """Two patterns and the third that they sum to, of which one is this; all are photographed.
 
         Returns:
-            None where there are none by this camera yet; else the photographs in the sum's order.
+            The sum and its photographs in its order; None where this camera has none yet.
         """
         there = dict(self.photographs_of(camera))
         with self._lock:
             levels = {name: each for name, each in self._levels.items() if name in there}
         if len({len(each) for each in levels.values()}) > 1:
-            return None  # a journal that was changed
+            return None  # a journal that was edited
         found = [each for each in find_sums(levels) if pattern in each.patterns]
         if not found:
             return None
         return found[0], tuple(there[name] for name in found[0].patterns)
 
     def after(self, number: int) -> list[Event]:
-        """Lines after one of this id, as far as they are remembered."""
+        """The lines after one of this id, as far as they are kept."""
         return [event for event in list(self._events) if event.id > number]
 
 
 class Following:
-    """The sessions that pages look at; the one that was looked at longest ago is let go.
+    """The sessions that pages show; the one that was shown longest ago is closed.
 
     Args:
-        kept: lines remembered of each.
-        most: sessions at a time.
+        kept: number of last lines that are kept of each.
+        most: number of sessions at a time.
     """
 
     def __init__(self, kept: int, most: int = 4) -> None:
@@ -215,7 +216,7 @@ class Following:
         self._open: collections.OrderedDict[Path, tuple[int, Followed]] = collections.OrderedDict()
 
     def of(self, root: Path) -> Followed:
-        """A session as it stands now; FormatError where it has no journal."""
+        """A session in its present state; FormatError where it has no journal."""
         try:
             inode = (root / JOURNAL).stat().st_ino
         except OSError:
@@ -227,8 +228,8 @@ class Following:
                 known = None
             followed = Followed(root, self._kept) if known is None else known[1]
             self._open[root] = (inode, followed)
-            # Whoever still reads the oldest one holds it; its journal's file closes with it.
+            # A request that still reads the oldest one holds it; its journal closes with it.
             while len(self._open) > self._most:
                 self._open.popitem(last=False)
-        followed.look()
+        followed.update()
         return followed

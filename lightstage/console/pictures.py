@@ -1,4 +1,4 @@
-"""Pictures for the page, made from the photographs that lie on the disk, in processes of their own.
+"""Pictures for the page, made from the photographs on the disk, in processes of their own.
 
 A small picture is the preview in the file where there is one, else every few counts of the sensor
 averaged: nothing is developed. A large one has clipped pixels painted, its histogram and how fine
@@ -25,9 +25,9 @@ from lightstage.formats.orientation import of_libraw
 
 BINS = 64
 SAMPLES = 4
-"""Places a side of a cell whose counts are averaged for a small picture."""
+"""Quads a side of a cell whose counts are averaged for a small picture."""
 GAIN = 1.6
-"""Of every picture alike, so that patterns compare: `full` is exposed with room above it."""
+"""One factor for every picture, so that patterns compare; `full` is exposed with room above it."""
 QUALITY = 85
 STRIPE_PX = 6
 NICE = 5
@@ -35,7 +35,7 @@ NICE = 5
 
 @dataclasses.dataclass(frozen=True)
 class Facts:
-    """What a large picture shows in figures.
+    """Figures of a photograph, shown beside its large picture.
 
     Attributes:
         width_px: of the photograph.
@@ -61,7 +61,7 @@ class Focus:
     Attributes:
         figure: differences of close pixels over those of far ones, higher is sharper
             (`checks.sharpness.fineness`); None where the subject shows too little of them.
-        against: the same against another photograph of the camera, 1 is alike.
+        against: ratio of the same to that of another photograph of the camera; 1 is as sharp.
     """
 
     figure: float | None
@@ -70,7 +70,14 @@ class Focus:
 
 @dataclasses.dataclass(frozen=True)
 class Counts:
-    """A photograph's counts as shares of white: (h, w, 3) of quads or pixels, upright."""
+    """A photograph's counts in cells, upright.
+
+    Attributes:
+        rgb: (h, w, 3) shares of white.
+        full: (h, w, 3) whether a cell holds a clipped count.
+        size_px: width and height of the photograph.
+        balance: (3,) white balance, green 1.
+    """
 
     rgb: np.ndarray
     full: np.ndarray
@@ -79,7 +86,7 @@ class Counts:
 
 
 def behind() -> None:
-    """Let a capture have the processor first, and end with the server, however that ends.
+    """Yield the processor to a capture, and end when the server ends, also where it is killed.
 
     Called in each process that makes pictures: one that waits for work would not notice by itself
     that its server was killed.
@@ -157,7 +164,7 @@ def focus(path: Path, other: Path | None = None) -> Focus:
     figure = float(np.sqrt(np.median(known))) if known.size else None
     against = None
     if other is not None:
-        with contextlib.suppress(LightstageError):  # a broken one tells nothing of this one
+        with contextlib.suppress(LightstageError):  # a broken one gives no ratio
             against = sharpness(photo, measure_photo(other))
     return Focus(figure, against)
 
@@ -242,9 +249,9 @@ def _cells(
     longest_px: int,
     samples: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Cells of quads as shares of white, and which hold a clipped count among those looked at.
+    """Cells of quads as shares of white, and which of them hold a clipped count.
 
-    Of a large cell, `samples` x `samples` quads are looked at: a small picture needs no more.
+    Of a large cell, `samples` x `samples` quads are read: a small picture needs no more.
     """
     high, wide = counts.shape[0] // 2, counts.shape[1] // 2
     cell = max(1, math.ceil(max(high, wide) / longest_px))
@@ -268,7 +275,7 @@ def _cells(
                     number[colour] += 1
     known = number > 0
     total[..., known] /= number[known].astype(np.float32)
-    # Of a grey sensor, or of one that lacks a colour, the others show what that one would.
+    # A colour that the sensor lacks, as a grey one does, gets the mean of the others.
     total[..., ~known] = total[..., known].mean(axis=2, keepdims=True)
     return total, full
 
@@ -282,7 +289,7 @@ def _shown(counts: Counts) -> np.ndarray:
 
 
 def _painted(picture: np.ndarray, full: np.ndarray) -> np.ndarray:
-    """Clipped pixels in stripes of magenta and black: no skin has either."""
+    """Clipped pixels in stripes of magenta and black, which no skin has."""
     rows, columns = np.indices(full.shape)
     stripe = (rows + columns) // STRIPE_PX % 2 == 0
     painted = picture.copy()

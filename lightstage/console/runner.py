@@ -1,4 +1,4 @@
-"""Commands that the page starts: each a process of its own that outlives the page's server."""
+"""Commands that the page starts: each is a process of its own that outlives the page's server."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from typing import Any
 from lightstage.errors import CaptureError, LightstageError
 from lightstage.formats.files import read_json, write_json
 from lightstage.printable import printable_lines
+from lightstage.ways import CONSOLE, READER
 
 SCHEMA = "lightstage.console-job/1"
 FOLDER = ".console"
-"""Beside the sessions: what runs, what it said, and the lock of the one console of a plan."""
+"""Beside the sessions: jobs, their output, and the lock of the one console of a plan."""
 INTERRUPTED = (130, -signal.SIGINT, -signal.SIGTERM)
-"""Exit codes of a command that was stopped: in order, or while Python had not begun with it."""
+"""Exit codes of a command that was stopped: in order, or before Python had started it."""
 LOG_BYTES = 8192
-"""Of what a command said, from its end."""
+"""Bytes of a command's output that are read, from its end."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,12 +32,12 @@ class Job:
     """A command that was started.
 
     Attributes:
-        kind: of it, one at a time: ``stage`` uses lights and cameras.
-        what: in words, such as ``P07/neutral``.
-        session: the folder's name that it works on.
-        pid: its process.
-        born: when that process began, in the kernel's ticks: a number is used again.
-        log: what it says.
+        kind: one of a kind runs at a time; ``stage`` uses lights and cameras.
+        what: what it works on, in words, such as ``P07/neutral``.
+        session: name of the session's folder.
+        pid: its process's number.
+        born: when that process began, in the kernel's ticks, since process numbers are reused.
+        log: name of the file of its output.
     """
 
     kind: str
@@ -49,27 +50,27 @@ class Job:
 
 @dataclasses.dataclass(frozen=True)
 class JobState:
-    """What a job does now.
+    """The state of a job.
 
     Attributes:
-        job: it.
+        job: the command.
         running: whether its process lives.
         code: its exit code; None while it runs, and where another server started it.
-        said: the end of its log.
-        ended_s: time.time() of its last word; 0 while it runs, and where it has no log.
+        output: the end of its log; empty while it runs.
+        ended_s: time.time() of its last output; 0 while it runs, and where it has no log.
         started_s: time.time() of its start.
     """
 
     job: Job
     running: bool
     code: int | None
-    said: str
+    output: str
     ended_s: float = 0.0
     started_s: float = 0.0
 
     @property
     def stopped(self) -> bool:
-        """Whether it ended because it was asked to."""
+        """Whether it ended because somebody stopped it."""
         return not self.running and self.code in INTERRUPTED
 
     @property
@@ -79,11 +80,11 @@ class JobState:
 
 
 class Runner:
-    """Starts commands of `lightstage` and knows what became of them, also after a restart.
+    """Starts commands of `lightstage` and knows their state, also after the server restarts.
 
     Args:
-        folder: of the sessions; it gets a folder for logs, which is no session.
-        cwd: where commands run, so that relative paths mean what they mean to the server.
+        folder: folder of the sessions; a folder for logs is made in it.
+        cwd: working folder of the commands: relative paths mean the same as to the server.
     """
 
     def __init__(self, folder: Path, cwd: Path) -> None:
@@ -93,7 +94,7 @@ class Runner:
         self._children: dict[int, subprocess.Popen[bytes]] = {}
 
     def start(self, kind: str, what: str, session: str, words: Sequence[str]) -> Job:
-        """Start `lightstage WORDS` in a process that no signal to this one reaches.
+        """Start `lightstage WORDS` in a process that signals to this one do not reach.
 
         Raises:
             CaptureError: another one of this kind runs.
@@ -117,7 +118,7 @@ class Runner:
                     stderr=subprocess.STDOUT,
                     cwd=self._cwd,
                     start_new_session=True,
-                    env={**os.environ, "TERM": "dumb", "COLUMNS": "200"},
+                    env={**os.environ, "TERM": "dumb", "COLUMNS": "200", READER: CONSOLE},
                 )
             self._children[child.pid] = child
             job = Job(kind, what, session, child.pid, born(child.pid) or 0, log.name)
@@ -125,12 +126,12 @@ class Runner:
             return job
 
     def state(self, kind: str) -> JobState | None:
-        """What became of the last command of a kind; None where there was none."""
+        """The state of the last command of a kind; None where there was none."""
         with self._lock:
             return self._state(kind)
 
     def stop(self, kind: str) -> bool:
-        """Ask a running command to end in order (lights dark); whether there was one."""
+        """Make a running command end in order (lights dark); whether there was one."""
         state = self.state(kind)
         if state is None or not state.running:
             return False
@@ -138,8 +139,8 @@ class Runner:
             os.kill(state.job.pid, signal.SIGTERM)
         return True
 
-    def said(self, job: Job, most: int = LOG_BYTES) -> str:
-        """The end of what a command said."""
+    def output(self, job: Job, most: int = LOG_BYTES) -> str:
+        """The end of a command's output; empty where there is none."""
         try:
             with (self._folder / job.log).open("rb") as file:
                 size = os.fstat(file.fileno()).st_size
@@ -161,7 +162,7 @@ class Runner:
             return None
         code = None
         child = self._children.get(job.pid)
-        if child is not None:  # ours: it is also taken off the list of processes
+        if child is not None:  # our child: poll also removes it from the list of processes
             code = child.poll()
             lives = code is None
         if lives:
@@ -170,15 +171,15 @@ class Runner:
             ended_s = (self._folder / job.log).stat().st_mtime
         except OSError:
             ended_s = 0.0
-        return JobState(job, False, code, self.said(job), ended_s, started_s)
+        return JobState(job, False, code, self.output(job), ended_s, started_s)
 
 
 def born(pid: int) -> int | None:
-    """When a process began, in ticks since the computer did; None where it lives no more."""
+    """When a process began, in ticks since the computer started; None where it has ended."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text()
     except OSError:
         return None
-    # The name may hold blanks and brackets; what follows its last bracket does not.
+    # The process's name may hold blanks and brackets: the fields begin after its last bracket.
     fields = text.rpartition(")")[2].split()
     return None if fields[0] in ("Z", "X") else int(fields[19])

@@ -20,13 +20,13 @@ STOP_S = 3.0
 
 
 def local_address(host: str) -> str:
-    """This computer's own address on the network on which another one is.
+    """This computer's own address on the network of another computer.
 
     Args:
         host: the other's numeric address.
 
     Raises:
-        ConfigError: no numeric address, one of many or of none, or no way to it.
+        ConfigError: not a numeric address of one computer, or one that cannot be reached.
     """
     expected = "the numeric address of one other computer, such as 192.168.1.20"
     try:
@@ -37,7 +37,7 @@ def local_address(host: str) -> str:
         raise ConfigError("--allow-from", found=host, expected=expected)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect((host, 9))  # sends nothing: it only finds the way
+            probe.connect((host, 9))  # sends nothing: the system only chooses a network
         except OSError as error:
             raise ConfigError(
                 "--allow-from",
@@ -48,7 +48,7 @@ def local_address(host: str) -> str:
 
 
 def listen(addresses: Sequence[str], port: int) -> list[socket.socket]:
-    """Listening sockets of one port on these addresses.
+    """Listening sockets of one port on these addresses (port 0: the first address chooses).
 
     Raises:
         DeviceError: another program has the port.

@@ -1,9 +1,8 @@
-"""What the templates show: plain values, made of what stands in a session."""
+"""The values that the templates show, made from a session's state."""
 
 from __future__ import annotations
 
 import datetime
-import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -27,19 +26,19 @@ from lightstage.operator.words import (
     Mark,
     duration,
     merged,
-    said,
+    notice_of,
     text_of,
 )
 from lightstage.session.opening import JOURNAL
 
 NEWS_SHOWN = 6
-PHOTOGRAPHS_ASKED = 9
-"""Beside a question, at most."""
-OF_THE_STAGE = ("pulses-unknown",)
-"""Codes of findings that are the same in every session: the page of devices has them."""
+QUESTION_PHOTOGRAPHS = 9
+"""Number of photographs, at most, beside a question."""
+SAME_IN_ALL = ("pulses-unknown",)
+"""Codes of findings that every session has; the page of devices shows them."""
 SHARP = 0.9
-"""Fine detail against another photograph of the camera below which the page says so: a tenth less
-is seen at once, and the checks' own limits decide what is taken again."""
+"""Ratio of fine detail to another photograph of the camera below which the page warns: a tenth less
+is seen at once, and the checks' own limits decide what is retaken."""
 
 MARKS: dict[Mark, str] = {
     "to come": "·",
@@ -50,7 +49,7 @@ MARKS: dict[Mark, str] = {
     "in question": "!",
     "accepted": "a",
 }
-"""Signs of photographs: read without any colour."""
+"""Signs of photographs, which need no colour."""
 MARK_WORDS: dict[Mark, str] = {**dict(LEGEND), "to come": "to come"}
 
 BANNERS: dict[Phase, tuple[str, str]] = {
@@ -60,28 +59,9 @@ BANNERS: dict[Phase, tuple[str, str]] = {
     "paused": ("‖", "PAUSED, dark"),
     "aborted": ("■", "STOPPED, dark"),
     "complete": ("✓", "COMPLETE"),
-    "gone": ("✕", "THE CAPTURE ENDED WITHOUT A WORD"),
+    "gone": ("✕", "THE CAPTURE WAS KILLED"),
 }
-"""Sign and words of each phase; of ``running`` where nothing is lit."""
-
-
-PRESSED_INSTEAD = (
-    (
-        re.compile(r"Go on with(?: it)?: lightstage capture --resume .*"),
-        "Press g on the session's page to resume it.",
-    ),
-    (
-        re.compile(r"While it is captured: lightstage watch .*"),
-        "If its capture was interrupted, press g on the session's page.",
-    ),
-    (
-        re.compile(
-            r"take the others again: lightstage retake (?:'[^']*'|\S+) ((?:(?!--)\S+ ?)+).*"
-        ),
-        r"take these again: \1(click each photograph, then its button).",
-    ),
-)
-"""Lines of commands that name another command, and what the page has in their place."""
+"""Sign and words of each phase; those of ``running`` are for a moment when nothing is lit."""
 
 
 class Cell(NamedTuple):
@@ -108,10 +88,10 @@ class Action(NamedTuple):
     """A button and its key.
 
     Attributes:
-        do: a request.
-        key: of it.
-        words: on the button.
-        pattern: that it is about; empty where it is about none.
+        do: the request.
+        key: its key.
+        words: text on the button.
+        pattern: the pattern that is meant; empty where none is.
         answer: whether it answers a question.
     """
 
@@ -123,7 +103,7 @@ class Action(NamedTuple):
 
 
 class Person(NamedTuple):
-    """A subject of the plan, with how many expressions and sessions."""
+    """A subject of the plan, with the numbers of expressions and sessions."""
 
     subject: str
     consent: str
@@ -137,7 +117,7 @@ class Person(NamedTuple):
 
 
 class Doubt(NamedTuple):
-    """Findings of a question with one advice, and the photographs that they are of."""
+    """Findings of a question for which the same should be done."""
 
     texts: list[str]
     todo: str
@@ -147,9 +127,9 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
     """What the live view shows of a session.
 
     Args:
-        followed: the session, looked at.
+        followed: the session, up to date.
         state: the page's own job in it; None where there is none.
-        most_rows: patterns at a time.
+        most_rows: number of patterns that are shown at a time.
     """
     view = followed.view
     with view.lock:
@@ -172,8 +152,8 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
         news = [
             item
             for item in reversed(merged(view.news))
-            # Plain lines stand in the list of what happened, below.
-            if item.tone != "plain" and item.text not in asked and item.code not in OF_THE_STAGE
+            # The list of what happened, below, has the plain lines.
+            if item.tone != "plain" and item.text not in asked and item.code not in SAME_IN_ALL
         ]
         return {
             "name": followed.root.name,
@@ -210,7 +190,7 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
             "actions": actions(view, followed.live, starting),
             "live": followed.live,
             "job": state,
-            "problem": page_words(state.said) if state is not None and state.failed else "",
+            "problem": state.output if state is not None and state.failed else "",
             "resumable": view.phase in ("aborted", "gone") and not (followed.live or starting),
             "marks": [(MARKS[mark], words) for mark, words in LEGEND],
             "last_id": view.last_id,
@@ -218,7 +198,7 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
 
 
 def _question(followed: Followed) -> tuple[list[Doubt], list[tuple[str, Cell]]]:
-    """What is asked, each advice once, and the photographs concerned with their patterns."""
+    """The findings of a question, by what to do, and its photographs with their patterns."""
     view = followed.view
     doubts: dict[str, Doubt] = {}
     concerned: dict[tuple[str, str], None] = {}
@@ -228,24 +208,17 @@ def _question(followed: Followed) -> tuple[list[Doubt], list[tuple[str, Cell]]]:
         for camera in [item.camera] if item.camera else list(view.cameras):
             concerned[item.pattern or view.asked, camera] = None
     cells = [(pattern, _cell(followed, pattern, camera)) for pattern, camera in concerned]
-    return list(doubts.values()), [each for each in cells if each[1].there][:PHOTOGRAPHS_ASKED]
+    return list(doubts.values()), [each for each in cells if each[1].there][:QUESTION_PHOTOGRAPHS]
 
 
 def take_of(folder: str) -> int:
-    """Number of a take by its folder's name (`lightstage.day.plan.take_folder`)."""
+    """Number of a take, from its folder's name (`lightstage.day.plan.take_folder`)."""
     number = folder.split("+")[2:3]
     return int(number[0]) if number and number[0].isdecimal() else 1
 
 
-def page_words(text: str) -> str:
-    """A command's last words for somebody who has the page: its keys in place of a shell's."""
-    for typed, pressed in PRESSED_INSTEAD:
-        text = typed.sub(pressed, text)
-    return text
-
-
 def _rows(followed: Followed, most: int) -> list[Row]:
-    """Patterns in order: all where they are few, else those that matter now."""
+    """Rows of patterns in order: all, or the latest and the bad ones where there are more."""
     view = followed.view
     patterns = view.patterns
     if len(patterns) > most:
@@ -273,7 +246,7 @@ def _cell(followed: Followed, pattern: str, camera: str) -> Cell:
 
 
 def is_starting(followed: Followed, state: JobState | None) -> bool:
-    """Whether a session that is over is about to be resumed, or a photograph of it retaken.
+    """Whether a capture has been started in a session that is over, and has not begun to write.
 
     Args:
         followed: the session.
@@ -282,17 +255,17 @@ def is_starting(followed: Followed, state: JobState | None) -> bool:
     if state is None or not state.running or not followed.view.over:
         return False
     try:
-        told_s = (followed.root / JOURNAL).stat().st_mtime
+        written_s = (followed.root / JOURNAL).stat().st_mtime
     except OSError:
         return False
-    return told_s < state.started_s  # else it has said its last word, and lets its devices go
+    return written_s < state.started_s  # else the journal is complete, and devices are released
 
 
 def actions(view: View, live: bool, starting: bool = False) -> list[Action]:
-    """What can be asked for now, with the terminal's own keys."""
+    """The requests that are possible now, with the same keys as in the terminal."""
     if view.over and not starting:
         return []
-    if not live or starting:  # it has not told its socket yet: it can be stopped all the same
+    if not live or starting:  # its socket is not known yet, but a stop is possible
         return [Action("abort", *KEYS["abort"])]
     if view.phase == "asked":
         return [
@@ -300,14 +273,14 @@ def actions(view: View, live: bool, starting: bool = False) -> list[Action]:
             for do in view.answers
         ]
     wanted: Sequence[str] = ("resume" if view.phase == "paused" else "pause", "abort")
-    retake = Action("retake", KEYS["retake"][0], f"take {view.shown} again", view.shown)
-    # Once all are done the capture ends by itself; then each photograph has its own button.
+    retake = Action("retake", KEYS["retake"][0], f"retake {view.shown}", view.shown)
+    # Once all are done the capture ends by itself; each photograph then has a button of its own.
     again = [retake] if view.shown and 0 < len(view.done) < len(view.patterns) else []
     return [*again, *(Action(do, *KEYS[do]) for do in wanted)]
 
 
 def look_values(facts: Facts) -> dict[str, Any]:
-    """What stands beside a large picture."""
+    """The sentences and curves beside a large picture."""
     clipped = [100 * share for share in facts.clipped]
     worst = max(clipped)
     sentences = [
@@ -315,7 +288,7 @@ def look_values(facts: Facts) -> dict[str, Any]:
         "Nothing is clipped."
         if worst == 0
         else f"Clipped (painted in stripes): red {two_digits(clipped[0])} %, green "
-        f"{two_digits(clipped[1])} %, blue {two_digits(clipped[2])} % of the pixels looked at.",
+        f"{two_digits(clipped[1])} %, blue {two_digits(clipped[2])} % of the pixels read.",
         f"The brightest percent is at {two_digits(100 * facts.brightest)} % of white, the mean at "
         f"{two_digits(100 * facts.mean)} %.",
     ]
@@ -323,7 +296,7 @@ def look_values(facts: Facts) -> dict[str, Any]:
 
 
 def focus_words(focus: Focus, other: str) -> list[str]:
-    """How sharp a photograph is, in sentences; `other` is the pattern that it was held against."""
+    """How sharp a photograph is, in sentences; `other` is the pattern that it was compared with."""
     if focus.figure is None:
         return ["Focus: not known; the subject shows too little fine detail here."]
     figure = two_digits(focus.figure)
@@ -333,7 +306,7 @@ def focus_words(focus: Focus, other: str) -> list[str]:
         sentences.append(
             f"As sharp as {beside}."
             if focus.against >= SHARP
-            else f"LESS SHARP than {beside}: look at its focus, and whether somebody moved."
+            else f"LESS SHARP than {beside}: check its focus, and whether somebody moved."
         )
     return sentences
 
@@ -343,31 +316,31 @@ def sum_words(facts: SumFacts, which: Sum) -> list[str]:
     limits = ChecksConfig()
     first, second, whole = which.patterns
     if facts.off is None or facts.misfit is None:
-        sentences = [f"{first} and {second} against {whole}: too little is lit to tell."]
+        sentences = [f"{first} and {second} against {whole}: too little is lit to compare them."]
     else:
         bad = facts.misfit > limits.max_misfit_share
         sentences = [
             f"{'! ' if bad else ''}{first} and {second} together differ from {whole} by "
             f"{two_digits(100 * facts.off)} % on average, by {two_digits(100 * facts.misfit)} % "
             "after the best factor of each "
-            f"(the checks bear {two_digits(100 * limits.max_misfit_share)} % of that)."
+            f"(the checks allow {two_digits(100 * limits.max_misfit_share)} % of that)."
         ]
     if facts.moved_px is None:
-        sentences.append("Whether the subject moved between them cannot be told here.")
+        sentences.append("Whether the subject moved between them is not known.")
     else:
         sentences.append(
-            f"Between them the subject lies up to {two_digits(facts.moved_px)} pixels apart "
-            f"(known to {two_digits(facts.error_px)})."
+            f"Between them the subject moved by up to {two_digits(facts.moved_px)} pixels "
+            f"(standard error {two_digits(facts.error_px)})."
         )
     sentences.append(
         "Orange: brighter together; blue stripes: darker; full colour at 10 %. Thin edges in pairs "
-        "are motion; a whole face in one colour is another light, or the room's."
+        "are motion; a whole face in one colour is another light than was meant, or the room's."
     )
     return sentences
 
 
 def _curves(histogram: Sequence[Sequence[float]]) -> list[tuple[str, str]]:
-    """Name and points of each colour's line in a field of 256 x 100; heights are square roots."""
+    """Name and points of each colour's line in an area of 256 x 100; heights are square roots."""
     top = max(max(map(max, histogram)), 1e-9)
     curves = []
     for name, shares in zip(("red", "green", "blue"), histogram, strict=True):
@@ -380,32 +353,34 @@ def _curves(histogram: Sequence[Sequence[float]]) -> list[tuple[str, str]]:
 
 
 def device_values(state: JobState | None, now_s: float) -> dict[str, Any]:
-    """What the last look at the devices found, or why it found nothing, and when.
+    """What the last check of the devices found, or why it failed, and when.
 
     Args:
-        state: of the look.
+        state: of the check; None where there was none.
         now_s: time.time().
     """
     if state is None:
         return {"state": None, "look": None, "findings": [], "problem": "", "when": ""}
     look: Any = None
-    if not state.running and state.said:
+    if not state.running and state.output:
         try:
-            look = parse_json(state.said.splitlines()[-1], "devices")
+            look = parse_json(state.output.splitlines()[-1], "devices")
         except FormatError:
             look = None
-    problem = "" if state.running else state.said
+    problem = "" if state.running else state.output
     if isinstance(look, dict) and isinstance(look.get("error"), dict):
         problem = text_of(look["error"], "message") or problem
     if not isinstance(look, dict) or "cameras" not in look:
         look = None
-    findings = [] if look is None else [said({**f, "event": "finding"}) for f in look["findings"]]
+    findings = (
+        [] if look is None else [notice_of({**f, "event": "finding"}) for f in look["findings"]]
+    )
     when = when_words(state.ended_s, now_s) if state.ended_s else ""
     return {"state": state, "look": look, "findings": findings, "problem": problem, "when": when}
 
 
 def when_words(then_s: float, now_s: float) -> str:
-    """A moment of the past, such as ``14:03 UTC, 12 min ago``."""
+    """A past moment and how long ago it was, such as ``14:03 UTC, 12 min ago``."""
     then = datetime.datetime.fromtimestamp(then_s, datetime.UTC)
     minutes = max(0.0, now_s - then_s) / 60
     ago = f"{minutes / 60:.0f} h ago" if minutes >= 90 else f"{minutes:.0f} min ago"
@@ -413,7 +388,7 @@ def when_words(then_s: float, now_s: float) -> str:
 
 
 def plan_facts(takes: Sequence[Planned]) -> str:
-    """How far the day is, as one sentence."""
+    """How much of the plan is done, as one sentence."""
     total = sum(each.take.wanted for each in takes)
     whole = [seen for each in takes for seen in each.sessions if seen.state == "whole"]
     faulty = sum(seen.accepted > 0 for seen in whole)

@@ -1,7 +1,7 @@
-"""A picture of light that should add up: two patterns' photographs against a third's.
+"""A picture of light that should add up: two patterns' photographs compared with a third's.
 
 The photographs of `x+` and `x-` sum to that of `full`, whatever the face. Where they do not,
-somebody moved, the light was another, or the room's light shows.
+somebody moved, the light was not as meant, or the room's light shows.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ FULL_COLOUR = 0.10
 LEAST_SHOWN = 0.02
 """Smaller differences are drawn in no colour: noise makes them."""
 LIT_SHARE = 0.1
-"""Of the brightest percent: what is darker in the whole is drawn grey, since it tells nothing."""
+"""Of the brightest percent: where the whole is darker, no difference is drawn: it is noise."""
 GREY = 0.45
 BRIGHTER_BGR, DARKER_BGR = (40.0, 150.0, 255.0), (255.0, 140.0, 60.0)
 
@@ -29,10 +29,10 @@ class SumFacts:
     """How well two photographs sum to a third, as the capture's checks measure it.
 
     Attributes:
-        off: mean absolute difference less what noise makes, share of the whole; None where too
+        off: mean absolute difference without that of noise, as a share of the whole; None where too
             little is lit.
         misfit: the same after the best factor of each part, by which the checks judge.
-        moved_px: the larger of the parts' shifts against the whole; None where it cannot be told.
+        moved_px: the larger of the parts' shifts against the whole; None where it is not known.
         error_px: its standard error.
     """
 
@@ -67,7 +67,7 @@ def sum_picture(first: Path, second: Path, whole: Path, longest_px: int) -> tupl
     data = jpeg(difference(a + b, w), whole)
     one, two, both = (measure_photo(path) for path in (first, second, whole))
     fit = fit_sum(one, two, both)
-    # Light that is a factor off would be taken for motion.
+    # A wrong factor of a part's light would look like motion.
     shift = sum_shift(one, two, both, (1.0, 1.0) if fit is None else fit.gains)
     return data, SumFacts(
         None if fit is None else float(fit.before),

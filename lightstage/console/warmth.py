@@ -1,4 +1,4 @@
-"""How warm a capture's lights are by its journal, against the limits that it keeps itself."""
+"""How warm a capture's lamps are, by its journal, against the limits that the capture keeps."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ NEAR = 0.8
 
 
 class Budget(NamedTuple):
-    """What the light that has spent most has spent.
+    """How much of the limits is used by the lamp that is nearest to each of them.
 
     Attributes:
-        heat: of the warmest light, as a share of what full power for ever would make it.
-        max_heat: allowed.
-        on_s: of the light that was lit longest, seconds at full level.
-        max_on_s: allowed in one capture.
+        heat: heat of the warmest lamp; 1 is what lasting full power would give.
+        max_heat: the largest heat that is allowed.
+        on_s: of the lamp that was lit longest, seconds at full level.
+        max_on_s: the longest time that is allowed in one capture.
     """
 
     heat: float
@@ -34,25 +34,25 @@ class Budget(NamedTuple):
 
     @property
     def near(self) -> bool:
-        """Whether a limit is near."""
+        """Whether one of the limits is near."""
         return self.heat > NEAR * self.max_heat or self.on_s > NEAR * self.max_on_s
 
 
 class Warmth:
-    """Counts as the capture itself does (`lightstage.safety`), from the journal's lines.
+    """Counts heat and time as the capture does (`lightstage.safety`), from the journal's lines.
 
-    A light counts as lit until a line says otherwise, so that the figures are upper bounds.
+    A lamp counts as lit until a line states that it is dark, so the figures are upper bounds.
     """
 
     def __init__(self) -> None:
         self._spent: Spent | None = None
         self._limits = SafetyConfig()
 
-    def told(self, line: Mapping[str, Any], lit: bool) -> None:
+    def receive(self, line: Mapping[str, Any], lit: bool) -> None:
         """Take up a line.
 
         Args:
-            line: of the journal; what is not as it should be changes nothing.
+            line: of the journal; a field that is missing or wrong changes nothing.
             lit: whether a pattern is lit after it.
         """
         event = text_of(line, "event")
@@ -60,7 +60,7 @@ class Warmth:
             config = line.get("config")
             safety = config.get("safety") if isinstance(config, dict) else None
             self._limits = _limits(safety if isinstance(safety, dict) else {})
-            self._spent = None  # each capture begins with cold lights
+            self._spent = None  # each capture begins with cold lamps
         now_s = _seconds(text_of(line, "time_utc"))
         if now_s is None:
             return
@@ -75,7 +75,7 @@ class Warmth:
             self._spent.light(now_s, np.zeros_like(self._spent.levels))
 
     def budget(self, now: datetime.datetime) -> Budget | None:
-        """What is spent now; None before the first light."""
+        """What is used at a moment; None before the first light."""
         if self._spent is None:
             return None
         self._spent.advance(now.timestamp())
@@ -107,7 +107,7 @@ def _seconds(text: str) -> float | None:
 
 
 def levels_of(line: Mapping[str, Any]) -> np.ndarray | None:
-    """(n,) levels in 0..1 that a line tells; None where it tells none."""
+    """(n,) levels in 0..1 that a line of the journal has; None where it has none."""
     value = line.get("levels")
     if not isinstance(value, list) or not value:
         return None

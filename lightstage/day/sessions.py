@@ -32,7 +32,7 @@ MOST_FOLDERS = 10_000
 
 @dataclasses.dataclass(frozen=True)
 class Seen:
-    """What a look at a session's folder shows; no photograph is read.
+    """The state of a session's folder; no photograph is read.
 
     Attributes:
         root: the folder.
@@ -49,7 +49,7 @@ class Seen:
         checked: what `lightstage check --record` noted.
         why: what a check found that failed; otherwise empty.
         processed: processed folders that were made from it.
-        said: what is wrong, where something is.
+        said: what is wrong with a damaged session; otherwise empty.
     """
 
     root: Path
@@ -125,7 +125,7 @@ def session_folders(folder: Path) -> list[Path]:
 
 
 def seen_session(root: Path) -> Seen | None:
-    """A look at one session; None where the folder holds none."""
+    """The state of one session; None where the folder holds none."""
     try:
         if (root / JOURNAL).exists():
             seen = _by_journal(root)
@@ -158,9 +158,9 @@ def _by_journal(root: Path) -> Seen:
     )
     if last.get("event") == "end":
         report = last.get("capture")
-        told = report if isinstance(report, dict) else {}
+        counts = report if isinstance(report, dict) else {}
         accepted, findings = (
-            value if type(value := told.get(name)) is int else 0
+            value if type(value := counts.get(name)) is int else 0
             for name in ("accepted", "accepted_findings")
         )
         return dataclasses.replace(seen, accepted=accepted, findings=findings)
@@ -170,7 +170,7 @@ def _by_journal(root: Path) -> Seen:
     view = View(str(root))
     with JournalTail(root / JOURNAL) as tail:
         for line in tail.read():
-            view.told(line)
+            view.receive(line)
     running = not view.over and answers(root)
     return dataclasses.replace(seen, state="running" if running else "unfinished", kept=view.kept)
 
@@ -235,7 +235,7 @@ def _checked(root: Path) -> tuple[Checked, str]:
 def processed_of(folder: Path) -> dict[str, list[Path]]:
     """Processed folders in a folder, by the id of the session that they were made from.
 
-    What is no processed folder, or cannot be read, is passed over.
+    Folders that are no processed folders, or cannot be read, are skipped.
     """
     found: dict[str, list[Path]] = {}
     try:

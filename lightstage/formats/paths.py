@@ -1,6 +1,6 @@
 """Paths and names that come out of files: they stay inside the folder that they belong to.
 
-A file may come from elsewhere: what it calls a path or an id is text until it was looked at.
+A file may come from elsewhere: what it calls a path or an id is text until it was checked.
 """
 
 from __future__ import annotations

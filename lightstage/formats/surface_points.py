@@ -53,7 +53,7 @@ def read_surface_points(path: Path, vertex_count: int | None = None) -> SurfaceP
 
     Args:
         path: the file.
-        vertex_count: of the mesh that they are for; not looked at where absent.
+        vertex_count: of the mesh that they are for; not checked where absent.
 
     Raises:
         FormatError: another scheme, another count of points, indices beyond the mesh, weights that

@@ -20,7 +20,7 @@ from lightstage.leds.unanswered import UnansweredLeds
 from lightstage.leds.websocket import WebSocketLine, greeting, masked
 
 POLL_S = 0.05
-"""How long one look at the line may last; what comes is seen at once."""
+"""How long one read of the line may wait; what comes is returned at once."""
 RECOVER_S = 10.0
 """A server that starts again is waited for so long."""
 DARK_AGAIN_S = 5.0
@@ -64,7 +64,9 @@ class IclLeds(UnansweredLeds):
         except BaseException:
             self.close()
             raise
-        firmware = f"lsserver, {grid[0]} x {grid[1]}, {options.lights} (does not tell what is lit)"
+        firmware = (
+            f"lsserver, {grid[0]} x {grid[1]}, {options.lights} (does not report what is lit)"
+        )
         self._hello = Hello(0, light_count, firmware)
 
     def confirm(self) -> None:
@@ -151,7 +153,11 @@ class IclLeds(UnansweredLeds):
                 self._set = True
                 return
             else:
-                found = f"refused ({reply.error})" if reply.error else lsserver.said(reply.response)
+                found = (
+                    f"refused ({reply.error})"
+                    if reply.error
+                    else lsserver.text_of_response(reply.response)
+                )
                 failure = self._lost(name, found, repr(lsserver.OK))
         assert failure is not None
         raise failure

@@ -131,7 +131,7 @@ def _is_size(value: Any) -> TypeGuard[int]:
     return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_A_SIDE
 
 
-def said(response: Any) -> str:
+def text_of_response(response: Any) -> str:
     """A response in a few words."""
     return repr(OK) if response == OK else _kind(response)
 

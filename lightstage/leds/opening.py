@@ -68,7 +68,7 @@ def open_wired_leds(leds: str, rig: Rig, channels: int = 0) -> WiredLeds:
     Args:
         leds: as of `open_rig_leds`.
         rig: the same.
-        channels: at least so many of a device that does not tell how many it has.
+        channels: at least so many of a device that does not report how many it has.
 
     Raises:
         ConfigError: a malformed URL, or a line that cannot carry so many lights.

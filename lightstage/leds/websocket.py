@@ -138,7 +138,7 @@ _HINT = "Is it lsserver that answers at this host and port (8080 unless set othe
 
 
 def greeting(host: str, port: int, path: str) -> bytes:
-    """What begins a connection of its own, for whoever sends prepared messages by it."""
+    """The request that opens a WebSocket, for a caller that sends prepared messages itself."""
     protocol = _client(host, port, path)
     protocol.send_request(protocol.connect())
     return b"".join(protocol.data_to_send())

@@ -22,7 +22,7 @@ HELLO_TIMEOUT_S = 2.0
 """A board that resets when its port opens takes about as long to come up."""
 HELLO_ATTEMPTS = 5
 POLL_S = 0.05
-"""How long one look at the line may last; bytes that come are seen at once."""
+"""How long one read of the line may wait; bytes that come are returned at once."""
 RECOVER_S = 10.0
 """A cable that was pulled, or a board that starts again, is waited for so long."""
 

@@ -16,7 +16,7 @@ from lightstage.rig import LightAddress
 
 
 class WiredLeds(Closing):
-    """A controller (LedController) whose lights are where the rig's addresses say.
+    """A controller (LedController) whose lights are at the rig's addresses.
 
     Several devices do each request at the same time, so that the slowest one alone is waited for;
     where one fails, the others have done theirs, and the request fails. Channels that no light has
@@ -42,19 +42,19 @@ class WiredLeds(Closing):
     @property
     def hello(self) -> Hello:
         """Who is there; the light count is that of all channels."""
-        told = {name: device.hello for name, device in self._devices.items()}
-        if len(told) == 1:
-            return next(iter(told.values()))
-        watchdogs = [each.watchdog_s for each in told.values()]
+        hellos = {name: device.hello for name, device in self._devices.items()}
+        if len(hellos) == 1:
+            return next(iter(hellos.values()))
+        watchdogs = [each.watchdog_s for each in hellos.values()]
         known = [each for each in watchdogs if each is not None]
-        repeats = [each.keep_alive_s for each in told.values() if each.keep_alive_s is not None]
+        repeats = [each.keep_alive_s for each in hellos.values() if each.keep_alive_s is not None]
         return Hello(
             0,
-            sum(each.light_count for each in told.values()),
-            "; ".join(f"{name}: {each.firmware}" for name, each in told.items()),
+            sum(each.light_count for each in hellos.values()),
+            "; ".join(f"{name}: {each.firmware}" for name, each in hellos.items()),
             max(known) if len(known) == len(watchdogs) else None,
             self.pulse_hz,
-            # Whoever goes dark first, or repeats most often, says how often all are spoken to.
+            # The device that goes dark first, or repeats most often, sets the interval for all.
             min([*repeats, *(each / 4 for each in known)], default=None),
         )
 
@@ -66,8 +66,8 @@ class WiredLeds(Closing):
     @property
     def pulse_hz(self) -> float | None:
         """How often a second lights are switched to dim them; None where devices differ."""
-        told = {device.pulse_hz for device in self._devices.values()}
-        return told.pop() if len(told) == 1 else None
+        found = {device.pulse_hz for device in self._devices.values()}
+        return found.pop() if len(found) == 1 else None
 
     def light(self, levels: np.ndarray) -> np.ndarray:
         """Set all lights, each on its own channel; (n,) in and out, in the rig's order."""
@@ -85,7 +85,7 @@ class WiredLeds(Closing):
         return driven
 
     def rewire(self, addresses: Sequence[LightAddress]) -> None:
-        """From the next light on these addresses count."""
+        """Use these addresses from the next light on."""
         wires = {}
         for name in self._devices:
             places = [i for i, each in enumerate(addresses) if each.controller == name]
@@ -158,5 +158,7 @@ def _raise_all(failed: Sequence[tuple[str, BaseException]]) -> None:
         if not isinstance(error, LightstageError):
             raise error
     lost = all(isinstance(error, LightLostError) for _, error in failed)
-    said = "; ".join(f"{name}: {error}" for name, error in sorted(failed, key=lambda each: each[0]))
-    raise (LightLostError if lost else DeviceError)(said)
+    errors = "; ".join(
+        f"{name}: {error}" for name, error in sorted(failed, key=lambda each: each[0])
+    )
+    raise (LightLostError if lost else DeviceError)(errors)

@@ -53,7 +53,7 @@ class OperatorConfig:
 
 
 class Operator(Protocol):
-    """Somebody, or a rule, who decides. Several threads may call ``told`` and ``request``."""
+    """Somebody, or a rule, who decides. Several threads may call ``receive`` and ``request``."""
 
     def command(self) -> Wish | None:
         """What is wished now; polled. An abort is given again and again."""
@@ -61,7 +61,7 @@ class Operator(Protocol):
     def decide(self, findings: Sequence[Finding], retakes_left: int) -> Decision:
         """What to do with photographs that do not do; may wait for an answer for ever."""
 
-    def told(self, line: dict[str, Any], old: bool = False) -> None:
+    def receive(self, line: dict[str, Any], old: bool = False) -> None:
         """A line that is in the journal now, or `old` from before a resume; never waits."""
 
     def request(self, do: str, pattern: str = "") -> str | None:
@@ -83,7 +83,7 @@ def possible_answers(codes: Iterable[str]) -> tuple[Decision, ...]:
 
 
 def by_rule(findings: Sequence[Finding], retakes_left: int, config: OperatorConfig) -> Decision:
-    """The decision without asking: again while it may, then by the configuration."""
+    """The decision without a question: retake while retakes are left, then as configured."""
     if not any(finding.severity in ("retake", "refuse") for finding in findings):
         return "accept"
     if retakes_left > 0:
@@ -131,7 +131,7 @@ class Requests:
             waits: tuple[Request, ...] = ("resume" if self._pausing() else "pause", "abort")
             return ("retake", *waits) if self._shot and self._left != set() else waits
 
-    def told(self, line: dict[str, Any]) -> None:
+    def receive(self, line: dict[str, Any]) -> None:
         """Know what can be asked for."""
         event, pattern = line.get("event"), line.get("pattern")
         if event == "lit" and isinstance(pattern, str):
@@ -282,10 +282,10 @@ class Unattended:
             return "abort"
         return by_rule(findings, retakes_left, self._config)
 
-    def told(self, line: dict[str, Any], old: bool = False) -> None:
+    def receive(self, line: dict[str, Any], old: bool = False) -> None:
         """Know what can be asked for."""
         del old
-        self._requests.told(line)
+        self._requests.receive(line)
 
     def request(self, do: str, pattern: str = "") -> str | None:
         """Asked from elsewhere; why not, or None where it is accepted."""

@@ -17,7 +17,7 @@ from lightstage.operator.runtime import socket_answers
 from lightstage.operator.words import text_of
 
 LOOK_S = 0.1
-"""How often `stop` is asked, and a journal without a socket is looked at."""
+"""How often `stop` is asked, and a journal without a socket is read."""
 ANSWER_BYTES = 1 << 16
 ANSWER_S = 10.0
 """Longest wait for an answer; going dark may take the time of a silent LED device."""

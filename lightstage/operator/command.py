@@ -26,7 +26,7 @@ from lightstage.operator.screen import Ask, Screen
 from lightstage.operator.terminal import Shown
 from lightstage.operator.view import View
 from lightstage.printable import printable
-from lightstage.resume_line import resume_line
+from lightstage.ways import TYPED
 
 KEYBOARD = 0
 
@@ -78,7 +78,7 @@ def watch_command(
         with JournalTail(session / "journal.jsonl") as tail:
             for line in tail.read():
                 if until is None or line["id"] <= until:
-                    view.told(line)
+                    view.receive(line)
         if until is not None and until > view.last_id:
             raise ConfigError("--until", found=str(until), expected=f"at most {view.last_id}")
         keys = ("retake", "pause", "abort") if view.phase == "running" else view.answers
@@ -88,7 +88,7 @@ def watch_command(
         _watch(session, view)
     gone, ended = view.phase == "gone", view.phase in ("aborted", "complete", "before")
     stopped = gone or view.phase == "aborted"
-    again = f"\n  Go on with: {resume_line(session, view.options)}" if stopped else ""
+    again = f"\n  {TYPED.resume(session, view.options)}" if stopped else ""
     finish(
         f"{session}: {view.kept} of {counted(view.wanted, 'photograph')} kept, "
         f"{len(view.done)} of {counted(len(view.patterns), 'pattern')} done, "
@@ -169,7 +169,7 @@ def _watch(session: Path, view: View) -> None:
         )
         try:
             for line in follow(session, left.is_set):
-                shown.told(line)
+                shown.receive(line)
             if not left.is_set():  # it was followed to its end, or until its process ended
                 view.gone()
         except KeyboardInterrupt:  # Ctrl-C leaves, as q does

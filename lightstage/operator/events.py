@@ -35,10 +35,10 @@ def serve_events(
         config: limits.
     """
     with EventServer(writer.root / "journal.jsonl", request, config) as server:
-        writer.listeners.append(server.told)
+        writer.listeners.append(server.receive)
         try:
             writer.note("note", said="others can follow", socket=str(server.path))
             yield server
         finally:
             with contextlib.suppress(ValueError):  # the journal takes off one that failed
-                writer.listeners.remove(server.told)
+                writer.listeners.remove(server.receive)

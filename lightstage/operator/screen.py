@@ -27,7 +27,7 @@ from lightstage.operator.words import (
     SIGNS,
     STATES,
     Mark,
-    Said,
+    Notice,
     Tone,
     duration,
     merged,
@@ -53,7 +53,7 @@ MARKS: dict[Mark, tuple[str, str, str]] = {
 """For a terminal with Unicode, for one without, and the style."""
 
 NEEDY: tuple[State, ...] = ("failed", "in question", "late", "restarting")
-"""States of cameras that somebody should look at."""
+"""States of cameras that need somebody."""
 RARE: tuple[Mark, ...] = ("again", "in question", "accepted")
 """Marks that are explained where there are any."""
 ROOMY = 100
@@ -75,7 +75,7 @@ class Ask:
         stopping_s: seconds since somebody stopped the capture; None where nobody did.
     """
 
-    question: Sequence[Said] = ()
+    question: Sequence[Notice] = ()
     keys: Sequence[str] = ()
     heard: str = ""
     scroll: Scroll = dataclasses.field(default_factory=Scroll)
@@ -332,7 +332,7 @@ class Screen:
         return lines
 
 
-def _item(item: Said) -> RenderableType:
+def _item(item: Notice) -> RenderableType:
     line = Table.grid(padding=(0, 1, 0, 0))
     text = item.text if item.text.endswith((".", "!", "?")) else f"{item.text}."
     line.add_row(Text(SIGNS[item.tone], STYLES[item.tone]), Text(text, STYLES[item.tone]))

@@ -68,7 +68,7 @@ class _Client:
 class EventServer(Closing):
     """Serves a journal's lines and passes on what clients ask for.
 
-    `told` must be one of the journal's listeners, from before another thread writes to it.
+    `receive` must be one of the journal's listeners, from before another thread writes to it.
 
     Args:
         journal: journal.jsonl, which exists; the lines that it has now are on the disk.
@@ -122,7 +122,7 @@ class EventServer(Closing):
         self._thread = threading.Thread(target=self._serve, name="events", daemon=True)
         self._thread.start()
 
-    def told(self, line: dict[str, Any]) -> None:
+    def receive(self, line: dict[str, Any]) -> None:
         """A line is on the disk now; never waits."""
         self._durable = line["id"]
         self._wake()

@@ -32,7 +32,7 @@ from lightstage.operator.keys import has_keys, heard, key_by_key
 from lightstage.operator.screen import Ask, Screen
 from lightstage.operator.view import View
 from lightstage.operator.window import Scroll
-from lightstage.operator.words import HEARD, KEYS, Said, heard_words, said, text_of
+from lightstage.operator.words import HEARD, KEYS, Notice, heard_words, notice_of, text_of
 
 PICTURES_PER_S = 5
 LINES_WAITING = 1000
@@ -67,7 +67,7 @@ class TerminalOperator:
         self._keys = keys
         self._asked = keys is not None or elsewhere
         self._requests = Requests()
-        self._question: list[Said] = []
+        self._question: list[Notice] = []
         self._heard = ""
         self._stopped_s: float | None = None
         self._scroll = Scroll()
@@ -92,13 +92,13 @@ class TerminalOperator:
     ) -> None:
         self._open.close()
 
-    def told(self, line: dict[str, Any], old: bool = False) -> None:
+    def receive(self, line: dict[str, Any], old: bool = False) -> None:
         """A line that is in the journal now, or `old` from before a resume; never waits."""
-        self._requests.told(line)
+        self._requests.receive(line)
         if text_of(line, "event") in ("lit", "note") and not self._requests.aborted:
             self._heard = ""
         self._scroll = Scroll()
-        self._show.told(line, old)
+        self._show.receive(line, old)
 
     def command(self) -> Wish | None:
         """What keys and clients of the event stream wish."""
@@ -113,7 +113,7 @@ class TerminalOperator:
             return "abort" if self._requests.aborted else self._by_rule(findings, retakes_left)
         self._scroll = Scroll()
         self._question = [
-            said({"event": "finding", **dataclasses.asdict(finding)}) for finding in findings
+            notice_of({"event": "finding", **dataclasses.asdict(finding)}) for finding in findings
         ]
         try:
             return self._requests.ask(possible_answers(finding.code for finding in findings))
@@ -124,7 +124,7 @@ class TerminalOperator:
         """Asked from elsewhere; why not, or None where it is accepted."""
         if do == "abort" and self._stopped_s is None:  # seen at once; the lights may take longer
             self._heard, self._stopped_s = HEARD[do], time.monotonic()
-            self._show.say(Said("stop", HEARD[do]))
+            self._show.say(Notice("stop", HEARD[do]))
         of = "" if self._question else pattern or self._requests.shown
         why = self._requests.request(do, pattern)
         if why is None:
@@ -197,9 +197,9 @@ class Shown:
         if self._thread is not None:
             self._thread.join(LAST_LINES_S)  # a reader who has stopped must not hold a capture
 
-    def told(self, line: dict[str, Any], old: bool = False) -> None:
+    def receive(self, line: dict[str, Any], old: bool = False) -> None:
         """Take up a line; it is drawn or, where it is not `old`, written soon."""
-        words = self._view.told(line)
+        words = self._view.receive(line)
         if old or self._thread is None or words.tone == "quiet":
             return
         text = f"{text_of(line, 'time_utc')[11:19]} {words}".strip()
@@ -207,7 +207,7 @@ class Shown:
             text = f"{text} {self._view.progress()}"
         self._write(text)
 
-    def say(self, words: Said) -> None:
+    def say(self, words: Notice) -> None:
         """Write what is in no line of the journal; the picture shows it by itself."""
         if self._thread is not None:
             self._write(str(words))

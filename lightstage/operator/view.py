@@ -17,18 +17,17 @@ from typing import Any, Literal
 from lightstage.counting import counted
 from lightstage.operator.attendance import Decision, possible_answers
 from lightstage.operator.words import (
-    TYPED,
     Mark,
-    Said,
-    Ways,
+    Notice,
     duration,
     names_of,
+    notice_of,
     number_of,
-    said,
     text_of,
 )
 from lightstage.printable import printable
 from lightstage.resume_line import options_of
+from lightstage.ways import TYPED, Ways
 
 State = Literal[
     "idle", "triggering", "downloading", "kept", "failed", "late", "restarting", "in question"
@@ -118,7 +117,7 @@ class View:
         self._asked_of: collections.Counter[str] = collections.Counter()
         self.lights = ""
         self.acknowledged: bool | None = None
-        self._news: collections.deque[tuple[Said, str]] = collections.deque(maxlen=NEWS_KEPT)
+        self._news: collections.deque[tuple[Notice, str]] = collections.deque(maxlen=NEWS_KEPT)
         self.phase: Phase = "before"
         self.last_id = 0
         self._shot_s: collections.deque[float] = collections.deque(maxlen=SHOTS_MEASURED)
@@ -129,11 +128,11 @@ class View:
         self._late_since_s: float | None = None
         self.late: Late | None = None
         self.options: list[str] = []
-        self.question: list[Said] = []
+        self.question: list[Notice] = []
         self.answers: tuple[Decision, ...] = ()
 
     @property
-    def news(self) -> list[Said]:
+    def news(self) -> list[Notice]:
         """What somebody should read, oldest first: what marks do not show and was not mended."""
         return [words for words, _ in self._news]
 
@@ -189,9 +188,9 @@ class View:
                 f"{self.kept} of {counted(self.wanted, 'photograph')}, {duration(self.left_s())}."
             )
 
-    def told(self, line: Mapping[str, Any]) -> Said:
+    def receive(self, line: Mapping[str, Any]) -> Notice:
         """Take up a line; returns its words."""
-        words = said(line, self.session, self._ways)
+        words = notice_of(line, self.session, self._ways)
         with self.lock:
             self.options = options_of(line) or self.options
             number = number_of(line, "id")
@@ -273,7 +272,7 @@ class View:
             if isinstance(findings_field, list)
             else []
         )
-        self.question = [said({**each, "event": "finding"}) for each in findings]
+        self.question = [notice_of({**each, "event": "finding"}) for each in findings]
         self.asked = text_of(line, "pattern")
         self._asked_of[self.asked] += 1
         self.answers = possible_answers(text_of(each, "code") for each in findings)
@@ -358,7 +357,7 @@ class View:
         if camera in self.marks.get(pattern, {}):
             self.marks[pattern][camera] = "again"
         self.done.discard(pattern)
-        # What was said of a photograph that no longer counts, and that no shot would mend.
+        # Notices of a photograph that no longer counts, which no later shot would remove.
         left = [
             item
             for item in self._news

@@ -9,20 +9,21 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from lightstage.counting import counted
 from lightstage.findings import accepted_in_words
 from lightstage.operator.plain import cause
 from lightstage.printable import printable, printable_lines
-from lightstage.resume_line import options_of, resume_line, watch_line
+from lightstage.resume_line import options_of
+from lightstage.ways import TYPED, Ways
 
 Tone = Literal["quiet", "plain", "good", "warning", "problem", "stop"]
 """``quiet`` is seen in the picture alone; ``problem`` needs somebody; ``stop`` ends the capture."""
 
 Mark = Literal["to come", "now", "kept", "failed", "again", "in question", "accepted"]
-"""Of one pattern by one camera; ``again`` waits to be taken once more, ``in question`` is kept and
-may be accepted or taken again, ``accepted`` was accepted with its faults."""
+"""Of one pattern by one camera; ``again`` waits to be retaken, ``in question`` is kept and
+may be accepted or retaken, ``accepted`` was accepted with its faults."""
 Line = Mapping[str, Any]
 
 SIGNS: dict[Tone, str] = {
@@ -35,12 +36,12 @@ SIGNS: dict[Tone, str] = {
 }
 """Before a line, so that no colour is needed to distinguish it."""
 
-LOOK = "Look at the photograph; press r to take it again."
-AGAIN = "It is taken again, or you are asked."
+LOOK = "Inspect the photograph; press r to retake it."
+AGAIN = "It is retaken, or you are asked."
 FINDING: dict[str, tuple[Tone, str, str]] = {
     "refuse": ("stop", "Not started", "Mend this, then start again."),
     "retake": ("problem", "Not good", AGAIN),
-    "warn": ("warning", "Look at this", LOOK),
+    "warn": ("warning", "Inspect this", LOOK),
     "note": ("plain", "Noted", ""),
 }
 """By severity: tone, how the line begins, what to do where the finding does not state it."""
@@ -48,33 +49,17 @@ FINDING: dict[str, tuple[Tone, str, str]] = {
 ON_CARD = "on-card"
 """What a note is about that names the picture which a camera took before it failed."""
 
-MISSING = "Photographs that came are kept. If it fails again, look at its cable, battery and card."
+MISSING = "Photographs that came are kept. If it fails again, check its cable, battery and card."
 """Shown where a photograph did not come."""
 FOLLOW = "{follow}"
-FAILED = "It is tried again by itself; look at its cable, battery and card if it fails again."
-RESUME = "Nothing that was kept is lost. {how}"
-
-
-class Ways(NamedTuple):
-    """How somebody who reads the lines resumes and follows a capture.
-
-    Attributes:
-        resume: a sentence; ``{resume}`` stands for the command.
-        follow: the same of ``{watch}``; empty where who reads it does follow.
-    """
-
-    resume: str
-    follow: str
-
-
-TYPED = Ways("Go on with: {resume}", "Anyone here can follow with: {watch}")
-"""In a terminal."""
-PRESSED = Ways("Press g to resume it.", "")
-"""On the console's page."""
+"""Stands for the sentence of how to follow the capture."""
+FAILED = "It is tried again by itself; check its cable, battery and card if it fails again."
+RESUME = "Nothing that was kept is lost. {resume}"
+"""``{resume}`` stands for the sentence of how to resume it."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Said:
+class Notice:
     """One line for the operator.
 
     Attributes:
@@ -141,24 +126,23 @@ def duration(seconds: float | None) -> str:
     return f"about {seconds / 3600:.1f} h left"
 
 
-def said(line: Line, session: str = "SESSION", ways: Ways = TYPED) -> Said:
+def notice_of(line: Line, session: str = "SESSION", ways: Ways = TYPED) -> Notice:
     """What to show for a line of the journal.
 
     Args:
         line: as read; any field may be missing.
-        session: the session's folder, for what to type.
-        ways: of whoever reads it.
+        session: the session's folder.
+        ways: how whoever reads it resumes and follows that session.
     """
     event = text_of(line, "event")
     make = _WORDS.get(event)
     if make is None:
-        return Said("quiet", f"{event or 'something'} {_place(line)}".strip())
+        return Notice("quiet", f"{event or 'something'} {_place(line)}".strip())
     words = make(line)
-    if words.text == FOLLOW and not ways.follow:
+    text = words.text.replace(FOLLOW, ways.follow(session))
+    if not text:
         words = dataclasses.replace(words, tone="quiet")
-    text = words.text.replace(FOLLOW, ways.follow).replace("{watch}", watch_line(session))
-    todo = words.todo.replace("{how}", ways.resume)
-    todo = todo.replace("{resume}", resume_line(session, options_of(line)))
+    todo = words.todo.replace("{resume}", ways.resume(session, options_of(line)))
     return dataclasses.replace(
         words,
         text=text,
@@ -169,9 +153,9 @@ def said(line: Line, session: str = "SESSION", ways: Ways = TYPED) -> Said:
     )
 
 
-def merged(items: Sequence[Said]) -> list[Said]:
+def merged(items: Sequence[Notice]) -> list[Notice]:
     """The same of several cameras, or several times, shown once: in the place of the last."""
-    groups: dict[tuple[str, str, str], list[Said]] = {}
+    groups: dict[tuple[str, str, str], list[Notice]] = {}
     for item in items:
         alike = item.text.replace(item.camera, "\0") if item.camera else item.text
         key = (item.tone, alike, item.todo)
@@ -194,28 +178,28 @@ def _at(line: Line) -> str:
     return f"{place}: " if place else ""
 
 
-def _begin(line: Line) -> Said:
+def _begin(line: Line) -> Notice:
     patterns, cameras = len(names_of(line, "sequence")), len(names_of(line, "cameras"))
     who = " ".join(filter(None, (text_of(line, "subject"), text_of(line, "expression"))))
     counts = f"{counted(patterns, 'pattern')}, {counted(cameras, 'camera')}"
-    return Said("plain", f"Session of {who or 'nobody'}: {counts}")
+    return Notice("plain", f"Session of {who or 'nobody'}: {counts}")
 
 
-def _lit(line: Line) -> Said:
+def _lit(line: Line) -> Notice:
     how = "lit, not acknowledged by the lights" if line.get("acknowledged") is False else "lit"
-    return Said("quiet", f"{_at(line)}{how}")
+    return Notice("quiet", f"{_at(line)}{how}")
 
 
-def _frame(line: Line) -> Said:
-    return Said("quiet", f"{_at(line)}kept")
+def _frame(line: Line) -> Notice:
+    return Notice("quiet", f"{_at(line)}kept")
 
 
-def _failed(line: Line) -> Said:
+def _failed(line: Line) -> Notice:
     why = _field(line, "said") or _field(line, "found") or "no photograph"
-    return Said("warning", f"{_at(line)}{why}", FAILED)
+    return Notice("warning", f"{_at(line)}{why}", FAILED)
 
 
-def _finding(line: Line) -> Said:
+def _finding(line: Line) -> Notice:
     severity = text_of(line, "severity")
     tone, begins, todo = FINDING.get(severity, FINDING["warn"])
     where = text_of(line, "where") or _place(line)
@@ -226,81 +210,81 @@ def _finding(line: Line) -> Said:
     wanted = f" (wanted: {expected})" if expected and not obvious else ""
     where = "" if what.startswith(where) else f"{where}: "
     text = f"{begins}: {where}{what}{wanted}"
-    return Said(tone, text, text_of(line, "hint") or todo)
+    return Notice(tone, text, text_of(line, "hint") or todo)
 
 
-def _recovered(line: Line) -> Said:
+def _recovered(line: Line) -> Notice:
     where = text_of(line, "path") or "recovered/"
-    return Said(
+    return Notice(
         "warning",
         f"{_at(line)}a photograph whose light is not certain is kept apart in {where}",
-        "The pattern is taken again, or you are asked.",
+        "The pattern is retaken, or you are asked.",
     )
 
 
-def _shot(line: Line) -> Said:
-    return Said("good", f"{text_of(line, 'pattern') or 'A pattern'} done")
+def _shot(line: Line) -> Notice:
+    return Notice("good", f"{text_of(line, 'pattern') or 'A pattern'} done")
 
 
-def _note(line: Line) -> Said:
+def _note(line: Line) -> Notice:
     if text_of(line, "socket"):
-        return Said("plain", FOLLOW)
+        return Notice("plain", FOLLOW)
     if text_of(line, "about") == ON_CARD:
-        return Said("plain", f"{_at(line)}it answers again, and its picture is on its card")
-    said_text = _field(line, "said")
-    if not said_text:  # a line of the journal's own, such as one for each file on a card
-        return Said("quiet", f"{_at(line)}{text_of(line, 'about') or 'noted'}")
-    text = f"{_at(line)}{said_text}"
-    return Said("plain", text[:1].upper() + text[1:] if not _place(line) else text)
+        return Notice("plain", f"{_at(line)}it answers again, and its picture is on its card")
+    text = _field(line, "said")
+    if not text:  # a line of the journal's own, such as one for each file on a card
+        return Notice("quiet", f"{_at(line)}{text_of(line, 'about') or 'noted'}")
+    text = f"{_at(line)}{text}"
+    return Notice("plain", text[:1].upper() + text[1:] if not _place(line) else text)
 
 
-def _waiting(line: Line) -> Said:
+def _waiting(line: Line) -> Notice:
     who = ", ".join(names_of(line, "cameras")) or "A camera"
     dark_s, ended_s = number_of(line, "dark_in_s"), number_of(line, "ended_in_s")
     left = "" if ended_s is None else f" in {ended_s:.0f} s"
     if line.get("lit") is False:
         text = f"The lights are dark: {who} did not answer, and will be started again{left}"
         todo = "Then it takes the pattern again alone; you are asked if it fails again and again."
-        return Said("warning", text, todo)
+        return Notice("warning", text, todo)
     soon = "soon" if dark_s is None else f"in {dark_s:.0f} s"
-    return Said("warning", f"Waiting for {who}: the lights go dark {soon}")
+    return Notice("warning", f"Waiting for {who}: the lights go dark {soon}")
 
 
-def _aborted(line: Line) -> Said:
+def _aborted(line: Line) -> Notice:
     why = _field(line, "said") or _field(line, "why")
     # Older journals have the other two.
     if not why or why in ("Stopped by the operator.", "KeyboardInterrupt") or "'s wish" in why:
-        return Said("stop", "Stopped by the operator", RESUME)
-    return Said("stop", f"Stopped: {why}", RESUME)
+        return Notice("stop", "Stopped by the operator", RESUME)
+    return Notice("stop", f"Stopped: {why}", RESUME)
 
 
-def _end(line: Line) -> Said:
+def _end(line: Line) -> Notice:
     frames = number_of(line, "frames")
     count = "" if frames is None else f": {counted(round(frames), 'photograph')}"
     report = line.get("capture")
     facts: Line = report if isinstance(report, dict) else {}
     patterns, faults = number_of(facts, "accepted"), number_of(facts, "accepted_findings")
     accepted = accepted_in_words(int(patterns or 0), int(faults or 0))
-    return Said("good", f"The session is complete{count}{accepted and '; ' + accepted}")
+    return Notice("good", f"The session is complete{count}{accepted and '; ' + accepted}")
 
 
-def _accepted(line: Line) -> Said:
+def _accepted(line: Line) -> Notice:
     findings = line.get("findings")
     count = f" with {counted(len(findings), 'finding')}" if isinstance(findings, list) else ""
-    return Said("warning", f"{_at(line)}accepted by the operator{count}")
+    return Notice("warning", f"{_at(line)}accepted by the operator{count}")
 
 
-def _always(text: str) -> Callable[[Line], Said]:
-    return lambda _: Said("plain", text)
+def _always(text: str) -> Callable[[Line], Notice]:
+    return lambda _: Notice("plain", text)
 
 
-def _quiet(line: Line) -> Said:
-    return Said("quiet", f"{_at(line)}{text_of(line, 'event')}")
+def _quiet(line: Line) -> Notice:
+    return Notice("quiet", f"{_at(line)}{text_of(line, 'event')}")
 
 
-_WORDS: dict[str, Callable[[Line], Said]] = {
+_WORDS: dict[str, Callable[[Line], Notice]] = {
     "begin": _begin,
-    "resume": _always("The session goes on where it stopped"),
+    "resume": _always("The session continues where it stopped"),
     "devices": _always("Lights and cameras are checked"),
     "lit": _lit,
     "trigger": _quiet,
@@ -310,7 +294,7 @@ _WORDS: dict[str, Callable[[Line], Said]] = {
     "finding": _finding,
     "accepted": _accepted,
     "rejected": _quiet,
-    "retake": _always("Photographs of this session are taken again"),
+    "retake": _always("Photographs of this session are retaken"),
     "recovered": _recovered,
     "deleting": _quiet,
     "deleted": _quiet,
@@ -343,10 +327,10 @@ KEYS = {
     "pause": ("p", "pause"),
     "resume": ("c", "continue"),
     "abort": ("q", "stop, dark at once"),
-    "leave": ("q", "leave (the capture goes on)"),
+    "leave": ("q", "leave (the capture continues)"),
 }
 """Key and words of each request."""
-ANSWERS = {"retake": "take it again", "abort": "stop now, go on later"}
+ANSWERS = {"retake": "retake it", "abort": "stop now, resume later"}
 """The same as answers to the question, where they read otherwise."""
 LEGEND: tuple[tuple[Mark, str], ...] = (
     ("kept", "kept"),
@@ -359,10 +343,10 @@ LEGEND: tuple[tuple[Mark, str], ...] = (
 )
 """Marks of photographs and their words."""
 HEARD = {
-    "retake": "It is taken again.",
+    "retake": "It is retaken.",
     "accept": "Accepted.",
     "pause": "It pauses, dark, after this pattern.",
-    "resume": "It goes on.",
+    "resume": "It continues.",
     "abort": "STOPPING: lights out; photographs on their way are not lost.",
 }
 """Shown when a key is heard."""
@@ -376,5 +360,5 @@ def heard_words(do: str, pattern: str = "") -> str:
         pattern: that a retake is of, which may be under way or over; empty for an answer.
     """
     if do == "retake" and pattern:
-        return f"{pattern} will be taken again next."
+        return f"{pattern} will be retaken next."
     return HEARD[do]

@@ -38,7 +38,7 @@ OLAT = "olat"
 MEANINGS: dict[str, str] = {
     "binary": "full and three pairs of half spheres; what processing expects",
     "linear": "full and three pairs of linear gradients",
-    "full": "every light: pictures, a look at the exposure",
+    "full": "every lamp: previews, a check of the exposure",
     "ambient": "binary after a shot without light, which processing takes off all others",
     "polarised": "full by the vertical and by the horizontal bank",
     "binary-polarised": "binary by the vertical bank, then by the horizontal one",

@@ -43,7 +43,7 @@ def import_command(
         "JPEG, PNG or TIFF at a cost that is reported)."
     ),
     rig: Path | None = typer.Option(
-        None, "--rig", help="rig.json: where lights and cameras stand. Without: see --length."
+        None, "--rig", help="rig.json: the places of lamps and cameras. Without: see --length."
     ),
     out: Path = output_folder("--out", help="The session's folder, new."),
     subject: str = typer.Option("subject-1", help="Pseudonym of the person, such as P07."),

@@ -104,7 +104,7 @@ def place(name: str, clicks: Mapping[str, np.ndarray], cameras: Mapping[str, Cam
     if np.linalg.eigvalsh(moment)[0] < 1e-4:
         raise MotionError(
             f"point {name}",
-            found=f"clicked in {', '.join(known)}, which look at it from one direction",
+            found=f"clicked in {', '.join(known)}, which show it from one direction",
             expected="photographs from different directions",
         )
     position = np.linalg.solve(moment, right)

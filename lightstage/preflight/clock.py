@@ -13,7 +13,7 @@ from lightstage.formats.values import LINE, open_regular, parse_json
 from lightstage.preflight.config import PreflightConfig
 
 JOURNALS = 50
-"""So many are looked at, the newest files first."""
+"""So many are read, the newest files first."""
 TAIL_BYTES = 1 << 20
 CLOCK_GRAIN_S = 2.0
 

@@ -1,4 +1,4 @@
-"""What changed between two looks at a camera: its settings must not; its battery does."""
+"""What changed between two checks of a camera: its settings must not; its battery does."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def photograph_findings(
         camera: of the rig, whose photograph it is taken for.
         summary: the camera's settings.
         exposed_utc: when it was exposed by this computer's clock; without it the time in the file
-            is not looked at.
+            is not checked.
         max_clock_offset_s: by which the time in the file may be off; whole quarters of an hour are
             a zone where the file has none.
 

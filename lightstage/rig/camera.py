@@ -121,7 +121,7 @@ class Camera:
 
 
 def look_at(position_mm: np.ndarray, target_mm: np.ndarray) -> np.ndarray:
-    """cam_from_world (3, 4) of a camera at a position that looks at a target, +y upward."""
+    """cam_from_world (3, 4) of a camera at a position and aimed at a target, +y upward."""
     position = np.asarray(position_mm, float)
     forward = np.asarray(target_mm, float) - position
     forward /= np.linalg.norm(forward)

@@ -72,7 +72,7 @@ class SafetyConfig:
 
 
 def flash_rate_per_s(shots: Sequence[Shot], light_interval_s: float) -> float:
-    """Most flashes in any second, whatever part of the stage is looked at (FlashCounter).
+    """Most flashes in any second, whatever part of the stage is seen (FlashCounter).
 
     Lights change as fast as they may; the darkness before the first shot and after the last one
     belongs to the sequence.

@@ -54,15 +54,15 @@ def disagreements(root: Path, session: SessionFile) -> list[LightstageError]:
                 path,
                 found=f"{lines[-1]['event']} as its last line",
                 expected="end",
-                hint="The capture was not finished, or the file was cut: lightstage capture "
-                "--resume, or restore it.",
+                hint="The capture was not finished, or the file was cut: resume it, or restore "
+                "the file.",
             )
         )
     return problems
 
 
 def whole_session(root: Path) -> tuple[int, list[str]] | None:
-    """Look at a session that its journal calls finished: is it all there?
+    """Check a session that its journal calls finished: is it all there?
 
     Every photograph is read back from the disk; session.json and the manifest are compared. Where
     one of the two is lost or changed, it is written again: all of its content is in the journal.
@@ -103,7 +103,7 @@ def whole_session(root: Path) -> tuple[int, list[str]] | None:
 
 @dataclasses.dataclass(frozen=True)
 class _Looked:
-    """What a look at a finished session shows whose photographs are all whole."""
+    """The state of a finished session whose photographs are all whole."""
 
     lines: Sequence[Line]
     known: Mapping[str, str]
@@ -115,7 +115,7 @@ class _Looked:
 
 
 def _looked(root: Path) -> _Looked | None:
-    """A look at a session; None where it is not finished or photographs are not whole."""
+    """The state of a session; None where it is not finished or photographs are not whole."""
     path = root / JOURNAL
     lines = read_journal(path)
     if lines[-1]["event"] != "end":

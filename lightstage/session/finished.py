@@ -9,12 +9,13 @@ from typing import Any
 from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.formats.session import Calibration, Driven, Frame, SessionFile
-from lightstage.resume_line import known_options, resume_line
+from lightstage.resume_line import known_options
 from lightstage.session.accepted import accepted_findings
 from lightstage.session.events import Line
 from lightstage.session.photo_entry import key_of
 from lightstage.session.reading import read_journal
 from lightstage.session.state import SessionState
+from lightstage.ways import readers_ways
 
 EXTRA = ("take", "acknowledged", "verified")
 """What a frame has beside the fields that every session has, where the journal knows it."""
@@ -52,7 +53,7 @@ def session_from_lines(lines: Sequence[Line], path: Path) -> SessionFile:
             path,
             found=counts if missing else f"{counts} missing",
             expected="all shots of the sequence",
-            hint=f"Go on with it: {resume_line(path.parent, known_options(lines))}",
+            hint=readers_ways().resume(path.parent, known_options(lines)),
         )
     frames = {key_of(line): line for line in lines if line["event"] == "frame"}
     driven = _levels(lines)

@@ -112,7 +112,7 @@ class Record:
         return self.journal.write("failed", pattern=pattern, camera=camera, take=take, said=said)
 
     def finding(self, finding: Finding) -> Line:
-        """Journal what a look at a device or a photograph found."""
+        """Journal what a check of a device or a photograph found."""
         return self.journal.write("finding", **_facts(finding))
 
     def accept(self, pattern: str, findings: Sequence[Finding]) -> Line:

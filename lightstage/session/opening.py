@@ -22,7 +22,14 @@ RIG = "rig.json"
 def save_beside(
     root: Path, rig: Rig, colour: Mapping[str, Any] | None, beside: Mapping[str, bytes]
 ) -> None:
-    """What is in a session's folder before its journal begins."""
+    """Write the files that a session's folder has before its journal begins.
+
+    Args:
+        root: the folder.
+        rig: for rig.json.
+        colour: content of colour.json; None where the session carries none.
+        beside: bytes of other files of the calibration, by name.
+    """
     save_rig(rig, root / RIG)
     if colour is not None:
         write_json(root / COLOUR_PATH, dict(colour))

@@ -216,7 +216,7 @@ class Reconciler(Leftovers):
                 in_words(exposed.key),
                 found="a card that no longer has it, and a whole file on this computer",
                 expected="both, to compare their bytes",
-                hint="It is kept; look at it.",
+                hint="It is kept; inspect it.",
                 pattern=exposed.pattern,
                 camera=exposed.camera,
             )

@@ -28,7 +28,7 @@ def identify(
     """Light one lamp at a time until the operator ends it; dark on every way out.
 
     Args:
-        rig: its lights, with the addresses to be looked at.
+        rig: its lamps, with the addresses to be checked.
         leds: the LED device's URL, or one of each controller (`open_rig_leds`).
         ask: prints a question and returns the operator's line; EOFError where nobody is there
             any more.

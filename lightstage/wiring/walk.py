@@ -21,7 +21,7 @@ _SAID = re.compile(r"([a-z?]*)\s*([0-9]{0,10})")
 
 @dataclasses.dataclass
 class Walk:
-    """Where somebody is who looks at one light after the other.
+    """Where somebody is who inspects one lamp after the other.
 
     Attributes:
         rig: with the addresses as they are now.

@@ -74,7 +74,7 @@ def _sections(about: About, facts: Mapping[str, Any], form: str) -> dict[str, di
             "How was it collected?": statements.collection(facts),
             "Who was asked to take part, how, and what were they paid?": answers.recruitment,
             "Over which time?": answers.timeframe,
-            "Which board looked at it?": answers.ethics_review,
+            "Which board reviewed it?": answers.ethics_review,
             "What did people agree to, and how do they withdraw?": answers.consent,
             "What may it do to those who are shown, and who looked into that?": answers.impact,
         },

@@ -309,13 +309,13 @@ def forget(
         subject: the pseudonym.
         folders: where to search.
         out: folder for the plan and the proof; it must be in none of the person's folders.
-        progress: called after each path that went.
+        progress: called after each path that was removed.
 
     Returns:
         What was found, what is left by how it was found, and the proof.
 
     Raises:
-        DatasetError: nobody of this pseudonym; ProcessingError: a folder that is in use.
+        DatasetError: no person of this pseudonym; ProcessingError: a folder that is in use.
     """
     plan = plan_path(out, subject)
     found = survey(subject, folders, True)

@@ -167,8 +167,8 @@ def wrong_patterns(
         whole: the pattern of most light.
         patterns: those to be distinguished.
         free: (h, w) bool.
-        session: of the rig and of what was driven.
-        camera_id: who photographed.
+        session: with the rig and the driven levels.
+        camera_id: of the camera that photographed.
 
     Returns:
         Pattern to the one that it resembles; and pattern to (r, c) how far each coarse cell is

@@ -216,7 +216,7 @@ def left_out_groups(patterns: Sequence[str]) -> np.ndarray:
 
 
 def richer_models(model: Model, bounces: bool, amounts: int) -> Iterator[tuple[str, Model]]:
-    """Names of the steps beyond a model, and where they lead."""
+    """Names of the steps beyond a model, and the models to which they lead."""
     facets = model.facets
     if not facets.tails:
         yield "tails", dataclasses.replace(model, facets=dataclasses.replace(facets, tails=True))

@@ -39,7 +39,7 @@ def icl(
     with server:
         print(f"Ready at {server.url()}; Ctrl-C ends it.")
         if log.path is not None:
-            print("What goes wrong is told in", log.path)
+            print("What goes wrong is logged in", log.path)
         sys.stdout.flush()
         try:
             while server.failure is None:

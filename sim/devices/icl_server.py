@@ -33,7 +33,7 @@ READ_BYTES = 1 << 16
 MOST_STATES = 20_000
 """Of more the oldest are forgotten."""
 ID_STEP = 1000
-"""By so much an answer's id is off where a story says so."""
+"""By so much an answer's id is off where a story has that fault."""
 SEND_WAIT_S = 1.0
 """A client that does not take what is sent is left after that."""
 DIES, RESTARTS, HANGS_UP = "die", "reset", "hang-up"
@@ -57,8 +57,8 @@ class Client:
         line: the connection.
         protocol: its WebSocket.
         parts: of the message that comes, and whether it is a text.
-        requests: whole messages that wait: from when on they are looked at (monotonic), and what
-            happens to them; None where that is still to be asked of the story.
+        requests: whole messages that wait: from when on they are handled (monotonic), and what
+            happens to them; None where the story has not decided it yet.
         answers: what is to be sent, and when at the earliest (monotonic).
     """
 
@@ -163,7 +163,7 @@ class IclServer:
                         next_s = max(next_s + REFRESH_MS / 1000, now_s)
                     for client in list(self._clients):
                         self._work(client)
-                self._output()  # the last packet: what was set is told, however soon it ends
+                self._output()  # the last packet: what was set is sent, however soon it ends
         except BaseException as failure:  # whatever it is, the owner must learn of it
             self.failure = failure
 
@@ -259,7 +259,7 @@ class IclServer:
             self.connected.clear()
 
     def _work(self, client: Client) -> None:
-        """Look at what waits of a client, and send what is due."""
+        """Handle a client's waiting requests, and send what is due."""
         while client.requests and time.monotonic() >= client.requests[0][0]:
             _, request, due = client.requests.popleft()
             self._handle(client, request, due)
@@ -299,12 +299,12 @@ class IclServer:
             self._output()
         self._tell_events()
         names = [each.name for each in due]
-        told = cbor2.loads(answer)["Response"]
+        response = cbor2.loads(answer)["Response"]
         if ANSWERS_WRONGLY in names:
-            told["response"] = {"Mode": self.stage.mode}
+            response["response"] = {"Mode": self.stage.mode}
         if OTHER_ID in names:
-            told["id"] = (told["id"] or 0) + ID_STEP
-        wait_s, left = self._answer.carry(cbor2.dumps({"Response": told}), due, self._packets)
+            response["id"] = (response["id"] or 0) + ID_STEP
+        wait_s, left = self._answer.carry(cbor2.dumps({"Response": response}), due, self._packets)
         at_s = time.monotonic() + wait_s
         if client.answers:
             at_s = max(at_s, client.answers[-1][0])

@@ -1,7 +1,7 @@
 """ICL's stage: what its lsserver makes of commands and of time. No socket, no clock.
 
 Played after lsserver 0.4 [Lsserver2026], so that its clients and ours can be tried on it. What is
-set is sent to the fixtures packet by packet, every 33 ms; nothing tells whether they lit.
+set is sent to the fixtures packet by packet, every 33 ms; nothing reports whether they lit.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ class IclStage:
     Attributes:
         mode: "Demo", "Manual", "Playback" or "OLAT".
         fixtures: of each group (``rgb``: red, green, blue; ``white``: warm, neutral, cool) what the
-            next packets say.
+            next packets hold.
         triggers: how often the cameras' line rose.
-        events: what every client is still to be told, in order.
+        events: what is still to be sent to every client, in order.
         sequences: uploaded ones by their id.
     """
 
@@ -80,7 +80,7 @@ class IclStage:
         return np.concatenate(grids, axis=1)
 
     def answer(self, data: bytes) -> bytes:
-        """Do what a client's binary message says; what is sent back to it."""
+        """Do what a client's binary message asks; returns the answer to it."""
         number, response = self._respond(data)
         return cbor2.dumps({"Response": {"id": number, "response": response}})
 

@@ -16,7 +16,7 @@ from lightstage.commands import output_file, output_folder, progress_bar
 from sim.errors import SimError
 
 POLL_S = 0.2
-GO_ON = "  Go on with: "
+RESUME = "  To resume: "
 SCALE = 0.12
 """Of `stage` and `calibrate` alike, since calibration shots hold for one rig.json alone. At half of
 it a marker of the ChArUco board is 12 pixels wide, which is too few to be read."""
@@ -85,7 +85,7 @@ def stage(
                 to = shlex.quote(f"SESSION/{LANDMARKS}")
                 print(f"Afterwards, for `register`: cp {shlex.quote(str(landmarks))} {to}\n")
             if log.path is not None:
-                print("What goes wrong is told in", log.path)
+                print("What goes wrong is logged in", log.path)
             sys.stdout.flush()
             try:
                 while standing.device.failure is None:
@@ -166,7 +166,7 @@ class Echo:
         """Print more."""
         for letter in text:
             self._line += letter
-            if not (GO_ON.startswith(self._line) or self._line.startswith(GO_ON)):
+            if not (RESUME.startswith(self._line) or self._line.startswith(RESUME)):
                 self._file.write(self._line[self._shown :])
                 self._shown = len(self._line)
             if letter == "\n":

@@ -1,6 +1,6 @@
 """How heads differ: anatomical fields, each a smooth displacement of the neutral head in mm.
 
-A field's size is one standard deviation over adults; `Field` says which share of it sex and age
+A field's size is one standard deviation over adults; `Field` has the share of it that sex and age
 account for. Sizes are chosen so that measures over many draws have the means and deviations of
 adult anthropometry ([Farkas1994], [Dodgson2004]); a test draws them and compares.
 """

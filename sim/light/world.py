@@ -215,6 +215,6 @@ def brightest(light: list[np.ndarray], name: str, quantile: float) -> np.ndarray
             f"subject {name}",
             found="no skin in any camera",
             expected="a face",
-            hint="Do the rig's cameras look at the sphere's centre?",
+            hint="Are the rig's cameras aimed at the sphere's centre?",
         )
     return np.quantile(seen, quantile, axis=0)

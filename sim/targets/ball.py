@@ -212,7 +212,7 @@ def _reflect(
 
     corners are the (h + 1, w + 1, 3) rays through the pixels' corners; eye as in `_bounce`; lamps
     (m, 3) against the ball's centre; bright (m, 3) each lamp's radiance along its axis. A pixel is
-    looked at finely for the lamps that are near its reflected ray, by as much as that ray turns
+    sampled finely for the lamps that are near its reflected ray, by as much as that ray turns
     from corner to corner.
     """
     height, width = out.shape[:2]

@@ -25,7 +25,7 @@ def test_every_command_explains_itself_in_whole(each_command, run_command):
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_every_program_tells_its_version(program, run_command):
+def test_every_program_states_its_version(program, run_command):
     ended = run_command(program, "--version")
     assert (ended.code, ended.out) == (0, f"lightstage {lightstage.__version__}\n")
 
@@ -97,7 +97,7 @@ def test_ctrl_c_while_a_command_imports_what_it_needs_ends_it_in_order(tmp_path)
         assert list(tmp_path.iterdir()) == []
 
 
-def test_a_programs_list_says_of_each_command_what_the_command_says():
+def test_a_programs_list_states_of_each_command_what_the_command_says():
     from lightstage.__main__ import COMMANDS, app
 
     group = typer.main.get_command(app)
@@ -123,7 +123,7 @@ print(sorted(heavy & set(sys.modules)), file=sys.stderr)
     assert done.stderr == "[]\n"
 
 
-def test_one_of_something_is_told_as_one(world, tmp_path, run_command):
+def test_one_of_something_is_reported_as_one(world, tmp_path, run_command):
     ended = run_command(
         "processing", "dataset", "build", world["processed"], "--out", tmp_path / "S"
     )

@@ -80,7 +80,7 @@ def test_an_unusable_output_is_one_clear_message_before_any_work(
         assert error["message"] in ended.err
 
 
-def test_a_full_disk_is_told_before_any_work(each_output, small_disk, run_command):
+def test_a_full_disk_is_reported_before_any_work(each_output, small_disk, run_command):
     command, option = each_output
     (small_disk / "filler").write_bytes(bytes(65536))
     path = small_disk / f"out{command.suffix(option)}"
@@ -90,7 +90,7 @@ def test_a_full_disk_is_told_before_any_work(each_output, small_disk, run_comman
     assert os.listdir(small_disk) == ["filler"]
 
 
-def test_a_read_only_disk_is_told(small_disk):
+def test_a_read_only_disk_is_reported(small_disk):
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
     for attempt in (try_folder, try_file):
         with pytest.raises(DiskError, match="--out: found a read-only disk"):

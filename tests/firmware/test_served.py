@@ -94,7 +94,7 @@ def test_our_driver_lights_it_and_a_second_host_finds_it_dark(served) -> None:
             served.since(DARK)
 
 
-def test_a_host_that_falls_silent_loses_its_light_and_is_told_so(served) -> None:
+def test_a_host_that_falls_silent_loses_its_light_and_gets_that_answer(served) -> None:
     with served.open() as leds:
         leds.light(np.ones(LIGHTS))
         lit_s = served.since(FULL)

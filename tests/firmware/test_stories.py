@@ -73,7 +73,9 @@ def test_what_one_packet_suffers_on_the_line_is_mended_by_asking_again(stage, na
     stories.test_what_one_packet_suffers_on_the_line_is_mended_by_asking_again(stage, name, way)
 
 
-def test_a_line_that_drops_everything_ends_the_capture_and_says_that_lights_may_be_on(live_stage):
+def test_a_line_that_drops_everything_ends_the_capture_and_reports_that_lights_may_be_on(
+    live_stage,
+):
     ending = live_stage.capture(Fault("drop", at=stories.SET_X, until=1000))
     stories.refused(ending, "no answer to", "The lights may still be on")
     assert ending.dark

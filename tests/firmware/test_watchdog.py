@@ -26,7 +26,7 @@ def lit(bench: Bench, number: int = 1) -> None:
     assert reply == Packet(Kind.LIT, number, wire.lit_payload(LEVELS))
 
 
-def test_the_second_is_told_in_hello(bench) -> None:
+def test_the_second_is_reported_in_hello(bench) -> None:
     (reply,) = sent(bench, Kind.ASK_HELLO, 1)
     hello = wire.parse_hello(reply.payload)
     assert (hello.watchdog_s, hello.light_count) == (WATCHDOG_MS / 1000, 3)

@@ -139,7 +139,7 @@ def test_normals_too_short_for_a_direction_fade_and_missing_ones_are_the_meshs(
     assert head.notes == ()
 
 
-def test_an_albedo_that_was_not_decoded_is_said_and_a_linear_one_is_not(
+def test_an_albedo_that_was_not_decoded_is_reported_and_a_linear_one_is_not(
     person: ProcessedFolder, mesh: Mesh, tmp_path: Path
 ) -> None:
     encoded = np.round(255 * map_of(person, "diffuse_albedo") ** (1 / 2.2)) / 255

@@ -69,7 +69,7 @@ def twin(normal: np.ndarray, light: np.ndarray, view: np.ndarray, m: float) -> t
 
 @pytest.mark.parametrize("engine", ["auto", "eager"])
 @pytest.mark.parametrize(("tilt_deg", "m"), [(20.0, 0.2), (60.0, 0.3), (125.0, 0.3)])
-def test_one_texel_is_what_a_plain_twin_says(engine: str, tilt_deg: float, m: float) -> None:
+def test_one_texel_is_as_by_a_plain_twin(engine: str, tilt_deg: float, m: float) -> None:
     tilt, aside = np.deg2rad(tilt_deg), np.deg2rad(50)
     normal = np.array([np.sin(aside), 0, np.cos(aside)])
     toward = np.array([np.sin(tilt), 0, np.cos(tilt)])

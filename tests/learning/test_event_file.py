@@ -115,7 +115,7 @@ def test_the_crc_is_that_of_plain_division(data: bytes) -> None:
         max_size=5,
     ),
 )
-def test_an_event_says_what_went_in(when: float, step: int, values: dict[str, float]) -> None:
+def test_an_event_states_what_went_in(when: float, step: int, values: dict[str, float]) -> None:
     found = scalars(event(when, step, values))
     assert found[:2] == (when, step)
     assert found[2].keys() == values.keys()

@@ -13,7 +13,7 @@ from torch._dynamo.exc import TorchDynamoException
 from learning import forward
 from learning.checkpoint import save_checkpoint
 from learning.errors import CheckpointError, TrainingError
-from learning.forward import Forward, half_of
+from learning.forward import Forward, autocast_dtype
 from learning.networks.discriminator import DiscriminatorConfig, Discriminators
 from learning.networks.whole_face import WholeFace, WholeFaceConfig, WholeFaceNetwork
 from learning.run import begin
@@ -29,16 +29,20 @@ PLAIN = WholeTrainConfig(compile="off", precision="float32")
 def test_half_the_width_is_for_gpus_that_have_it_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     has = {"it": True}
     monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda **_: has["it"])
-    assert half_of("auto", CUDA) == half_of("bf16", CUDA) == torch.bfloat16
-    assert half_of("float32", CUDA) is None
-    assert half_of("auto", CPU) is half_of("float32", CPU) is half_of("auto", torch.device("mps"))
+    assert autocast_dtype("auto", CUDA) == autocast_dtype("bf16", CUDA) == torch.bfloat16
+    assert autocast_dtype("float32", CUDA) is None
+    assert (
+        autocast_dtype("auto", CPU)
+        is autocast_dtype("float32", CPU)
+        is autocast_dtype("auto", torch.device("mps"))
+    )
     for device in (CPU, torch.device("mps")):
         with pytest.raises(ConfigError, match=f"precision: found bf16, on {device}"):
-            half_of("bf16", device)
+            autocast_dtype("bf16", device)
     has["it"] = False
-    assert half_of("auto", CUDA) is None
+    assert autocast_dtype("auto", CUDA) is None
     with pytest.raises(ConfigError, match="computes no bfloat16"):
-        half_of("bf16", CUDA)
+        autocast_dtype("bf16", CUDA)
 
 
 def test_what_is_computed_in_half_the_width_comes_out_as_float32_and_near(
@@ -52,7 +56,7 @@ def test_what_is_computed_in_half_the_width_comes_out_as_float32_and_near(
     plain: Forward[WholeFace] = Forward(face, CPU, PLAIN)
     assert torch.equal(plain(inputs).diffuse_albedo, face(inputs).diffuse_albedo)
     # A processor can do it too, only slower: the wiring is the same.
-    monkeypatch.setattr(forward, "half_of", lambda *_: torch.bfloat16)
+    monkeypatch.setattr(forward, "autocast_dtype", lambda *_: torch.bfloat16)
     half: Forward[WholeFace] = Forward(face, CPU, PLAIN)
     said, expected = half(inputs), face(inputs)
     for field in dataclasses.fields(said):

@@ -119,7 +119,7 @@ def test_each_network_sees_what_is_published(store_path: Path) -> None:
     assert torch.equal(torch.cat(list(targets.values()), dim=1), batch.target[:, :10])
 
 
-def test_specular_normals_are_told_in_tangent_space_and_diffuse_ones_in_the_heads(
+def test_specular_normals_are_encoded_in_tangent_space_and_diffuse_ones_in_the_heads(
     store_path: Path,
 ) -> None:
     batch = drawn(store_path)

@@ -84,7 +84,7 @@ def test_a_mark_in_a_gap_is_found_on_the_other_side() -> None:
     assert errors[1] < 0.35 * errors[0]
 
 
-def test_sides_that_are_not_alike_tell_nothing_of_each_other() -> None:
+def test_sides_that_are_not_alike_show_nothing_of_each_other() -> None:
     beside = np.random.default_rng(4).normal(0, 0.1, (*SIZE, 3)).astype(np.float32)
     assert likeness(beside, beside[:, ::-1], EVERYWHERE) < 0.25
     alike = marks(4).astype(np.float32)

@@ -19,7 +19,7 @@ from learning.guard import Guard
 from learning.networks.whole_face import WholeFaceConfig
 from learning.render.environments import RandomLightConfig
 from learning.run import Run
-from learning.training import FedTrainer
+from learning.training import BatchLearner
 from learning.whole.config import WholeTrainConfig
 from learning.whole.faces import Faces, FacesConfig
 from learning.whole.train import WholeFaceTrainer
@@ -113,7 +113,7 @@ def test_the_batch_that_is_kept_is_the_one_that_was_trained_on(store_path: Path)
     seen: list[torch.Tensor] = []
     step = trainer.step
     trainer.step = lambda batch, *rest: (seen.append(batch.inputs), step(batch, *rest))[1]  # type: ignore[method-assign]
-    learner = FedTrainer(trainer, faces.draw)
+    learner = BatchLearner(trainer, faces.draw)
     learner.step(11, 0.5)
     assert torch.equal(learner.batch(11)["inputs"], seen[0])
     assert not torch.equal(learner.batch(12)["inputs"], seen[0])

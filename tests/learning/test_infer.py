@@ -65,7 +65,7 @@ def test_tile_borders_show_no_step() -> None:
     assert tiled_across > 1.5 * tiled_elsewhere
 
 
-def test_a_picture_of_one_tile_is_what_the_network_says() -> None:
+def test_a_picture_of_one_tile_is_the_networks_output() -> None:
     generator, inputs = random_generator(), face_like(32, 32)
     context = face_like(32, 32)[:, :3]
     found, spread = run_tiles(generator, inputs, context, 32)
@@ -132,7 +132,7 @@ def test_a_darker_photo_of_the_same_face_gives_proportional_albedo(ball_mesh: Me
     np.testing.assert_allclose(second["diffuse_normal"], first["diffuse_normal"], atol=1e-2)
 
 
-def test_nothing_is_said_where_no_surface_is(ball_mesh: Mesh) -> None:
+def test_nothing_is_found_where_no_surface_is(ball_mesh: Mesh) -> None:
     assert ball_mesh.uvs is not None
     half = dataclasses.replace(ball_mesh, uvs=ball_mesh.uvs * [0.5, 1.0])
     found = infer(random_generator(), DATA, lit_ball(), half, np.eye(3, 4)).maps
@@ -196,7 +196,7 @@ def test_a_mesh_that_is_no_head_in_millimetres_is_refused(ball_mesh: Mesh) -> No
         infer(random_generator(), DATA, lit_ball(), flat, np.eye(3, 4))
 
 
-def test_albedo_is_never_above_one_and_that_it_was_cut_off_is_said(ball_mesh: Mesh) -> None:
+def test_albedo_is_never_above_one_and_that_it_was_cut_off_is_reported(ball_mesh: Mesh) -> None:
     found = infer(random_generator(), DATA, 3 * lit_ball(), ball_mesh, np.eye(3, 4))
     assert found.maps["diffuse_albedo"].max() == 1.0
     assert any("above 1 was cut off" in note for note in found.notes)

@@ -195,7 +195,7 @@ def test_an_answer_depends_on_nothing_beyond_its_reach() -> None:
     assert difference[network.reach_px + 1 :].max() < 1e-6
 
 
-def test_an_untrained_network_says_that_all_detail_is_skin() -> None:
+def test_all_detail_is_skin_by_an_untrained_network() -> None:
     trained = TrainedMesostructure(Mesostructure(MesostructureConfig(4)).eval(), 48)
     unlit = np.random.default_rng(2).uniform(0.1, 0.9, (48, 32, 3)).astype(np.float32)
     known = np.ones((48, 32), bool)
@@ -298,7 +298,7 @@ def test_an_interrupted_training_goes_on_to_the_same_bits(bumpy: Path, tmp_path:
         assert torch.equal(one, two)
 
 
-def test_patches_that_tell_of_no_skin_are_refused(store_path: Path) -> None:
+def test_patches_that_show_no_skin_are_refused(store_path: Path) -> None:
     store = open_store(store_path)
     people = {scan.subject for scan in store.scans}
     config = dataclasses.replace(TINY.patches, patch_px=1000)
@@ -375,7 +375,7 @@ def called(arguments: list[str]) -> int:
     return 0
 
 
-def test_a_texture_with_too_few_rows_keeps_the_meshs_normals_and_says_so(
+def test_a_texture_with_too_few_rows_keeps_the_meshs_normals_and_reports_it(
     strangers: list[Path], run: Path
 ) -> None:
     person = ProcessedFolder(strangers[0])

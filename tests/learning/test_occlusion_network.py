@@ -404,7 +404,7 @@ def test_shadows_are_those_of_the_lights_in_the_heads_frame(
     assert not torch.allclose(found, still, atol=1e-4)
 
 
-def test_harmonics_tell_two_directions_apart_by_their_angle_alone() -> None:
+def test_harmonics_distinguish_two_directions_by_their_angle_alone() -> None:
     rng = np.random.default_rng(4)
     pair = rng.normal(size=(2, 3))
     pair /= np.linalg.norm(pair, axis=1, keepdims=True)

@@ -183,7 +183,7 @@ def test_a_batch_that_the_processes_cannot_share_is_refused() -> None:
         Processes(0, 3).share(4)
 
 
-def test_what_torchrun_tells_is_read_and_half_of_it_refused(
+def test_what_torchrun_sets_is_read_and_half_of_it_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for name in ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT"):
@@ -201,7 +201,7 @@ def test_what_torchrun_tells_is_read_and_half_of_it_refused(
         started_by_torchrun()
 
 
-def test_a_process_whose_other_one_is_gone_says_so(tmp_path: Path) -> None:
+def test_a_process_whose_other_one_is_gone_reports_it(tmp_path: Path) -> None:
     alone = Processes(0, 2)
     # No group was joined, which torch tells by another error of the same class.
     with pytest.raises((TrainingError, ValueError), match="process"):

@@ -98,7 +98,7 @@ def test_a_head_that_is_moved_gives_the_same_albedo_and_its_light_moves_with_it(
     np.testing.assert_allclose(there.light.rgb[0], same, rtol=0.1)
 
 
-def test_a_texture_upside_down_or_of_another_shape_is_refused_and_an_encoded_one_is_said(
+def test_a_texture_upside_down_or_of_another_shape_is_refused_and_an_encoded_one_is_reported(
     people: list[ProcessedFolder],
 ) -> None:
     network, _ = load_whole_face(shipped_weights())
@@ -113,7 +113,7 @@ def test_a_texture_upside_down_or_of_another_shape_is_refused_and_an_encoded_one
     assert "8-bit sRGB" in infer_whole_face(network, encoded, mesh).notes[-1]
 
 
-def test_too_little_time_is_told_as_such_and_keeps_the_networks_answer(
+def test_too_little_time_is_reported_as_such_and_keeps_the_networks_answer(
     people: list[ProcessedFolder],
 ) -> None:
     network, _ = load_whole_face(shipped_weights())
@@ -125,7 +125,7 @@ def test_too_little_time_is_told_as_such_and_keeps_the_networks_answer(
     np.testing.assert_array_equal(found.maps["diffuse_albedo"], plain.maps["diffuse_albedo"])
 
 
-def test_where_no_light_explains_a_texture_the_networks_answer_stays_and_is_told(
+def test_where_no_light_explains_a_texture_the_networks_answer_stays_and_is_reported(
     people: list[ProcessedFolder],
 ) -> None:
     network, _ = load_whole_face(shipped_weights())

@@ -136,7 +136,7 @@ def test_cameras_go_round_a_point_and_keep_looking_at_it() -> None:
         np.testing.assert_allclose(depth, far, atol=1e-6)
 
 
-def test_a_folder_of_several_maps_is_told_with_what_each_is(tmp_path: Path) -> None:
+def test_a_folder_of_several_maps_is_reported_with_what_each_is(tmp_path: Path) -> None:
     def maps(*names: str) -> None:
         for name in names:
             write_exr(tmp_path / "OUT" / name / "diffuse_albedo.exr", np.ones((2, 2, 3)))
@@ -157,7 +157,7 @@ def test_a_folder_of_several_maps_is_told_with_what_each_is(tmp_path: Path) -> N
         require_texture_maps(tmp_path / "empty")
 
 
-def test_render_of_a_processed_folder_says_which_maps_it_means(
+def test_render_of_a_processed_folder_names_which_maps_it_means(
     people: list[ProcessedFolder],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

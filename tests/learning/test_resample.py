@@ -15,7 +15,7 @@ def test_a_texture_of_the_right_size_is_not_touched():
 
 
 @pytest.mark.parametrize("rows", [6, 24, 18, 7])
-def test_one_colour_stays_that_colour_up_to_its_border_and_is_said_to_be_resampled(rows):
+def test_one_colour_stays_that_colour_up_to_its_border_and_is_reported_to_be_resampled(rows):
     image = np.zeros((12, 8, 3), np.float32)
     image[2:10, 2:6] = (0.5, 0.3, 0.2)
     found, notes = resampled_texture(image, rows, "t")

@@ -121,7 +121,7 @@ def stop(*_: object) -> None:
 
 
 @pytest.mark.parametrize("preset", FAMILIES)
-def test_every_preset_says_what_is_kept_and_the_line_it_says_goes_on(
+def test_every_preset_reports_what_is_kept_and_a_line_that_resumes_it(
     preset: str,
     store_path: Path,
     tmp_path: Path,
@@ -135,7 +135,7 @@ def test_every_preset_says_what_is_kept_and_the_line_it_says_goes_on(
         code, said, told = train(*words, "--json")
     assert code == 130
     assert read_checkpoint(out).step == 2
-    found = re.fullmatch(r"Interrupted: step 2 is kept in (.*)\. Go on with: (.*)", last(told))
+    found = re.fullmatch(r"Interrupted: step 2 is kept in (.*)\. To resume: (.*)", last(told))
     assert found is not None, told
     assert found[1] == str(out)
     assert json.loads(said)["error"]["message"] == last(told)
@@ -153,7 +153,7 @@ def last(told: str) -> str:
     return told.splitlines()[-1]
 
 
-def test_an_interrupt_before_the_first_step_says_that_nothing_is_kept(
+def test_an_interrupt_before_the_first_step_reports_that_nothing_is_kept(
     store_path: Path,
     tmp_path: Path,
     train: Callable[..., tuple[int, str, str]],
@@ -182,7 +182,7 @@ def test_an_interrupt_while_people_are_scored_keeps_all_steps(
     assert "step 3 is kept" in last(told)
 
 
-def test_several_processes_are_told_to_go_on_as_several(tmp_path: Path) -> None:
+def test_several_processes_are_resumed_as_several(tmp_path: Path) -> None:
     options = {"--data": tmp_path / "S", "--out": tmp_path / "R", "--seconds": None}
     said = str(stopped_training(tmp_path / "R", options, Processes(0, 4, 0)))
     line = f"torchrun --nproc-per-node 4 -m learning train --data {tmp_path}/S --out {tmp_path}/R"

@@ -65,7 +65,7 @@ def case(seed: int = 0, dark: float = 1.5) -> Case:
         np.full(TEXELS, 0.028),
     )
     texture = skin.albedo(along) * (irradiance @ rgb) + 0.028 * (lobe @ rgb)
-    begin = Explained(skin.said, 1.3 * rgb, 1.0, np.eye(2))
+    begin = Explained(skin.answer, 1.3 * rgb, 1.0, np.eye(2))
     return Case(texture, irradiance, lobe, skin, along, rgb, begin)
 
 
@@ -82,11 +82,11 @@ def found(
     )
 
 
-def test_highlights_tell_the_tone_that_the_network_said_too_dark() -> None:
+def test_highlights_correct_a_tone_that_the_network_found_too_dark() -> None:
     c = case()
     answer = found(c)
     off = np.abs(np.log(c.skin.albedo(answer.along) / c.skin.albedo(c.along)))
-    before = np.abs(np.log(c.skin.albedo(c.skin.said) / c.skin.albedo(c.along)))
+    before = np.abs(np.log(c.skin.albedo(c.skin.answer) / c.skin.albedo(c.along)))
     assert off.mean() < 0.4 * before.mean()
     assert np.abs(np.log(answer.rgb / c.rgb)).mean() < 0.5 * np.log(1.3)
     assert answer.gloss == pytest.approx(1.0, abs=GLOSS)
@@ -115,7 +115,7 @@ def test_the_normal_equations_hold_the_slope_of_the_cost() -> None:
 def test_a_plain_solver_of_the_same_cost_finds_the_same_answer() -> None:
     c = case(5)
     problem = _Problem(c.texture, np.ones(TEXELS), c.irradiance, c.lobe, c.skin, c.begin)
-    problem.look(problem.start() - 0.1)
+    problem.set_outlier_scale(problem.start() - 0.1)
     far = problem._far
     values, cost, normal = _descended(problem, problem.start())
     answer = problem.answer(values, np.linalg.inv(normal), cost)
@@ -133,7 +133,7 @@ def test_a_plain_solver_of_the_same_cost_finds_the_same_answer() -> None:
         each = 2.0 * np.sqrt(trust.sum(axis=1) * np.log1p(ratio) / TOGETHER)
         grey = strength.mean(axis=1, keepdims=True)
         known = [
-            (along - c.skin.said) / np.sqrt(DOUBT),
+            (along - c.skin.answer) / np.sqrt(DOUBT),
             ((strength - grey) / TINT).ravel(),
             ((grey - logs) * np.sqrt(3) / STRENGTH).ravel(),
             [gloss / GLOSS],

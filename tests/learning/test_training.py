@@ -453,7 +453,7 @@ def test_a_run_is_neither_overwritten_nor_mixed(store_path: Path, tmp_path: Path
         train(other, tmp_path / "run", TINY, resume=True)
 
 
-def test_a_training_that_diverges_says_so(
+def test_a_training_that_diverges_reports_it(
     store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def diverged(*given: Any) -> torch.Tensor:

@@ -204,7 +204,7 @@ def test_a_training_by_time_that_goes_on_does_not_begin_at_its_largest_rate_agai
     assert rates == sorted(rates, reverse=True)
 
 
-def test_a_network_that_a_plain_guess_is_as_good_as_is_told() -> None:
+def test_a_network_that_a_plain_guess_is_as_good_as_is_reported() -> None:
     score = FaceScore(*[0.0] * len(dataclasses.fields(FaceScore)))
     known = {"psnr_db": 18.0, "psnr_input_db": 9.0, "psnr_mean_db": 18.58}
     told = not_better(dataclasses.replace(score, **known))
@@ -213,7 +213,7 @@ def test_a_network_that_a_plain_guess_is_as_good_as_is_told() -> None:
     assert not_better(dataclasses.replace(score, **{**known, "psnr_db": 18.59})) == ""
 
 
-def test_the_last_line_says_which_steps_and_seconds_are_of_this_call() -> None:
+def test_the_last_line_names_which_steps_and_seconds_are_of_this_call() -> None:
     facts = {
         "steps": 265, "steps_of_earlier_calls": 219, "seconds": 59.4, "step_seconds": 20.2,
         "scored": "diffuse albedo", "held_out": "P9", "said": "PSNR 22.50 dB", "device": "cpu",

@@ -28,7 +28,7 @@ from learning.render.environments import RandomLightConfig
 from learning.train import train
 from learning.upscale import infer
 from learning.upscale.config import PicturesConfig, UpscaleTrainConfig
-from learning.upscale.data import Pictures, lowered
+from learning.upscale.data import Pictures, downsampled
 from learning.upscale.infer import enlarge_encoded, upscale
 from learning.upscale.network import Rcan, RcanConfig
 from learning.upscale.score import BLOCK_PX, Detail, detail, interpolated, score_upscaling
@@ -109,7 +109,7 @@ def test_a_network_enlarges_as_its_configuration_says(times: int) -> None:
         assert network(torch.rand(2, 3, 9, 11)).shape == (2, 3, 9 * times, 11 * times)
 
 
-def test_beside_bicubic_an_untrained_network_says_what_opencv_does() -> None:
+def test_beside_bicubic_an_untrained_network_gives_opencvs_result() -> None:
     rng = np.random.default_rng(0)
     image = rng.random((12, 10, 3)).astype(np.float32)
     network = Rcan(dataclasses.replace(SMALL, beside_bicubic=True)).eval()
@@ -168,7 +168,7 @@ def test_tiles_with_less_around_them_or_attention_of_their_own_would_show(
 def test_a_texel_of_the_input_is_the_mean_light_of_those_it_stands_for(image: np.ndarray) -> None:
     encoded = torch.from_numpy(image.transpose(2, 0, 1)[None].copy())
     linear = inverse(image.astype(np.float64)).reshape(2, 8, 3, 8, 3).mean(axis=(1, 3))
-    found = lowered(encoded, 8)[0].permute(1, 2, 0).numpy()
+    found = downsampled(encoded, 8)[0].permute(1, 2, 0).numpy()
     np.testing.assert_allclose(found, curve(linear), atol=1e-5)
 
 
@@ -183,7 +183,7 @@ def test_patches_are_pairs_on_the_surface_and_mirrored_at_most_sideways(store_pa
     assert pairs.inputs.shape == (8, 3, 6, 6)
     assert pairs.target.shape == (8, 3, 48, 48)
     # Half floats of the truth are a thousandth off.
-    torch.testing.assert_close(lowered(pairs.target, 8), pairs.inputs, atol=2e-3, rtol=0)
+    torch.testing.assert_close(downsampled(pairs.target, 8), pairs.inputs, atol=2e-3, rtol=0)
     again = straight.draw(8, np.random.default_rng(1))
     assert torch.equal(again.target, pairs.target)
     flipped = other.draw(8, np.random.default_rng(1))

@@ -159,10 +159,10 @@ def test_what_people_have_in_common_is_their_mean_and_directions_at_right_angles
     assert float(known.deviations[0]) >= float(known.deviations[1])
 
 
-def test_an_untrained_network_says_the_mean_person_of_any_texture(store_path: Path) -> None:
+def test_an_untrained_network_answers_the_mean_person_to_any_texture(store_path: Path) -> None:
     faces = faces_of(store_path)
     network = WholeFaceNetwork(SIZE)
-    network.keep(faces.in_common(network.config.modes))
+    network.set_people(faces.in_common(network.config.modes))
     said = network(faces.draw(2, np.random.default_rng(0)).inputs)
     albedos = [shrink(face.maps["diffuse_albedo"], (48, 32)).log() for face in faces.faces]
     mean = torch.cat(albedos).mean(dim=0).exp()
@@ -191,7 +191,7 @@ def test_whatever_the_texture_albedo_lies_between_0_and_1(texture: np.ndarray) -
     assert bool(((said.deviation >= 0.003) & (said.deviation <= 0.5)).all())
 
 
-def test_the_expected_error_changes_nothing_that_is_said(store_path: Path) -> None:
+def test_the_expected_error_does_not_change_the_answer(store_path: Path) -> None:
     batch = faces_of(store_path).draw(2, np.random.default_rng(0))
     network = WholeFaceTrainer(TINY).network
     torch.nn.init.normal_(network.here.weight)
@@ -204,7 +204,7 @@ def test_the_expected_error_changes_nothing_that_is_said(store_path: Path) -> No
 def test_losses_in_double_precision_are_those_of_a_plain_twin(store_path: Path) -> None:
     batch = faces_of(store_path).draw(2, np.random.default_rng(0))
     network = WholeFaceNetwork(SIZE)
-    network.keep(faces_of(store_path).in_common(network.config.modes))
+    network.set_people(faces_of(store_path).in_common(network.config.modes))
     said = network(batch.inputs)
     weight = batch.weight.double().numpy()
 
@@ -244,7 +244,7 @@ def test_training_learns_scores_and_leaves_whole_files(store_path: Path, tmp_pat
     assert not network.training
     # On the same faces: of two people, the tones that a batch draws decide how hard it is.
     faces, untrained = faces_of(store_path, TINY.faces, TINY.augment), WholeFaceNetwork(SIZE)
-    untrained.keep(faces.in_common(SIZE.modes))
+    untrained.set_people(faces.in_common(SIZE.modes))
     pair = faces.draw(32, np.random.default_rng(9))
     trained, before = (face_losses(n, pair)["diffuse"] for n in (network, untrained))
     assert trained < 0.7 * before
@@ -270,7 +270,7 @@ def test_a_network_that_is_right_scores_without_error(store_path: Path) -> None:
     faces.faces = faces.faces[:1]
 
     network = WholeFaceNetwork(SIZE)
-    network.keep(faces.in_common(network.config.modes))
+    network.set_people(faces.in_common(network.config.modes))
     score = score_faces(network, faces, 2, 0)
     # Of one person the mean person is the person.
     assert score.psnr_db > 50

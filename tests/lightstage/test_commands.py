@@ -62,7 +62,7 @@ def test_a_command_ends_with_its_facts(texture, tmp_path):
     assert json.loads(done.stdout) == {"mean": 2.0}
 
 
-def test_a_missing_argument_is_told_with_what_it_is(tmp_path):
+def test_a_missing_argument_is_reported_with_what_it_is(tmp_path):
     code = SCRIPT.replace("out: Path,", "out: Path = typer.Option(..., help='Where to write.'),")
     done = subprocess.run([sys.executable, "-c", code, "use", "t"], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
@@ -159,7 +159,7 @@ def test_commands_start_without_what_few_of_them_need():
     assert done.stdout == "[]\n", done.stderr
 
 
-def test_an_error_says_where_what_was_found_what_was_expected_and_what_to_try():
+def test_an_error_states_where_what_was_found_what_was_expected_and_what_to_try():
     error = LightstageError("a.exr", field="size", found="3", expected="4", hint="Grow it.")
     assert str(error) == "a.exr, size: found 3, expected 4. Grow it."
     assert str(LightstageError("a.exr")) == "a.exr"

@@ -127,7 +127,7 @@ def test_without_a_profile_values_are_srgb_in_all_their_bits(tmp_path, dtype, wr
 
 
 @pytest.mark.parametrize("kind", ["png", "tiff", "jpeg"])
-def test_a_profile_says_what_values_mean(tmp_path, kind):
+def test_a_profile_states_what_values_mean(tmp_path, kind):
     codes = ramp()
     write = {"png": png, "tiff": tiff, "jpeg": jpeg}[kind]
     found = read(tmp_path, write(codes, profile=icc()))
@@ -314,7 +314,7 @@ def test_two_sizes_of_one_camera_are_one_message(folder, tmp_path, small_rig):
     assert not (tmp_path / "S").exists()
 
 
-def test_unlike_exposures_are_brought_to_one_and_told(folder, tmp_path, small_rig):
+def test_unlike_exposures_are_brought_to_one_and_reported(folder, tmp_path, small_rig):
     level = 0.8 * pattern_levels("x+", small_rig).mean()
     (folder / "x+" / "cam0.JPG").write_bytes(jpeg(face(level / 2, small_rig), seconds=(1, 120)))
     found = import_session(folder, small_rig, tmp_path / "S", "p1", "neutral")

@@ -137,7 +137,7 @@ def test_a_dng_by_another_hand_tells_only_what_stands_in_it(tmp_path):
         ("gps", 28, (7, b"ASCII\0\0\0Kensington"), "GPS"),
     ],
 )
-def test_each_field_that_may_name_a_person_is_told_by_its_name_alone(
+def test_each_field_that_may_name_a_person_is_reported_by_its_name_alone(
     tmp_path, where, tag, value, name
 ):
     parts = {"picture": dict(NIKON), "exif": dict(CAMERA), "gps": {0: (1, [2, 3, 0, 0])}}
@@ -165,7 +165,7 @@ def test_empty_fields_as_cameras_write_them_are_not_private(tmp_path):
         (b"<dc:creator><rdf:Seq></rdf:Seq></dc:creator>", None),
     ],
 )
-def test_names_in_an_xmp_packet_are_told(tmp_path, packet, names):
+def test_names_in_an_xmp_packet_are_reported(tmp_path, packet, names):
     found = read(tmp_path, tiff(NIKON | {700: (1, packet)}, dict(CAMERA)))
     assert found.private == (() if names is None else (names,))
 
@@ -214,7 +214,7 @@ def test_a_raf_tells_from_its_preview(tmp_path):
 
 
 @pytest.mark.parametrize("data", [b"", b"II*\0", b"\x76\x2f\x31\x01rest", b"no photograph at all"])
-def test_what_has_no_headers_tells_nothing(tmp_path, data):
+def test_what_has_no_headers_shows_nothing(tmp_path, data):
     assert read(tmp_path, data) == Exif()
 
 

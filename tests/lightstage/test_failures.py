@@ -60,7 +60,7 @@ def test_a_full_disk_is_one_error_whatever_writes_and_the_old_file_stays(small_d
     assert path.read_bytes() == b"old"
 
 
-def test_a_full_disk_says_how_much_is_missing_where_that_is_known(small_disk):
+def test_a_full_disk_states_how_much_is_missing_where_that_is_known(small_disk):
     with pytest.raises(DiskFullError) as raised:
         write_bytes(small_disk / "a.bin", bytes(100_000))
     # 64 KiB are 65.5 kB.
@@ -97,7 +97,7 @@ def test_a_folder_that_fills_the_disk_leaves_the_old_one(small_disk):
     assert sorted(p.name for p in small_disk.rglob("*")) == ["marker", "out"]
 
 
-def test_memory_that_nobody_has_is_told_as_such():
+def test_memory_that_nobody_has_is_reported_as_such():
     torch = pytest.importorskip("torch")
     for allocate in (lambda: np.zeros(10**14), lambda: torch.empty(10**14)):
         with pytest.raises((MemoryError, RuntimeError)) as raised:

@@ -24,7 +24,7 @@ from lightstage.findings import accepted_in_words, two_digits
         (math.nan, "nan"),
     ],
 )
-def test_numbers_are_told_in_plain_figures_without_a_power_of_ten(value, message):
+def test_numbers_are_written_in_plain_figures_without_a_power_of_ten(value, message):
     assert two_digits(value) == message
 
 

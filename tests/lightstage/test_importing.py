@@ -45,7 +45,7 @@ def test_linear_photographs_become_a_session_that_passes_its_check(folder, tmp_p
     assert check_session(out).sums == 3
 
 
-def test_an_import_says_which_emitters_were_driven(folder, tmp_path, small_rig, run_command):
+def test_an_import_names_which_emitters_were_driven(folder, tmp_path, small_rig, run_command):
     colours = ["warm", "cool"]
     lights = tuple(
         dataclasses.replace(light, colour=colours[k % 2])
@@ -101,7 +101,7 @@ def test_raw_photographs_are_named_by_their_bytes(tmp_path, small_rig, dng):
     assert names == ["cam0.dng", "cam1.dng", "cam2.dng"]
 
 
-def test_every_misnamed_or_missing_photograph_is_told_at_once(folder, small_rig):
+def test_every_misnamed_or_missing_photograph_is_reported_at_once(folder, small_rig):
     (folder / "z*").mkdir()
     (folder / "full" / "cam7.exr").write_bytes(b"")
     (folder / "full" / "cam0.dng").write_bytes(b"")
@@ -138,7 +138,7 @@ def test_an_existing_folder_is_never_touched(folder, tmp_path, small_rig):
     assert os.listdir(tmp_path / "S") == ["a"]
 
 
-def test_the_command_imports_and_says_how_many(folder, tmp_path, small_rig, run_command):
+def test_the_command_imports_and_states_how_many(folder, tmp_path, small_rig, run_command):
     rig = save_rig(small_rig, tmp_path / "rig.json")
 
     def run(source, out):
@@ -165,7 +165,7 @@ def imported(folder, tmp_path, small_rig, *more):
         os.umask(before)
 
 
-def test_an_imported_face_is_nobody_elses_and_says_that_consent_is_missing(
+def test_an_imported_face_is_nobody_elses_and_reports_that_consent_is_missing(
     folder, tmp_path, small_rig
 ):
     (tmp_path / "S").mkdir(mode=0o777)
@@ -198,7 +198,9 @@ def test_an_import_keeps_the_consent_record_and_may_require_one(folder, tmp_path
 
 
 @pytest.mark.parametrize("wrong", ["rig", "photograph", "calibration"])
-def test_an_import_that_fails_says_why_and_nothing_of_consent(folder, tmp_path, small_rig, wrong):
+def test_an_import_that_fails_gives_the_reason_and_nothing_of_consent(
+    folder, tmp_path, small_rig, wrong
+):
     more = ("--length", "cam0:cam1=100") if wrong == "rig" else ()
     if wrong == "photograph":
         (folder / "full" / "cam1.exr").write_bytes(b"")

@@ -24,7 +24,7 @@ def tiff(order, make, **extra):
     return file.getvalue()
 
 
-def test_a_dng_is_told_by_its_version_tag(dng):
+def test_a_dng_is_recognised_by_its_version_tag(dng):
     kind = identify(dng(1000), "x")
     assert (kind.suffix, kind.encoding) == (".dng", "raw")
 
@@ -34,7 +34,7 @@ def test_a_dng_is_told_by_its_version_tag(dng):
     ("make", "suffix"),
     [("NIKON CORPORATION", ".nef"), ("Canon", ".cr2"), ("SONY", ".arw"), ("PENTAX", ".pef")],
 )
-def test_makers_raw_files_are_told_by_their_maker(order, make, suffix):
+def test_makers_raw_files_are_recognised_by_their_maker(order, make, suffix):
     assert identify(tiff(order, make), "x").suffix == suffix
 
 
@@ -47,7 +47,7 @@ RAF = b"FUJIFILMCCD-RAW 0201".ljust(84, b"\0")
 RAF += struct.pack(">6I", 160, 40, 200, 60, 260, 240) + bytes(392)
 
 
-def test_other_containers_are_told_by_their_first_bytes():
+def test_other_containers_are_recognised_by_their_first_bytes():
     assert identify(CR3, "x").suffix == ".cr3"
     assert identify(CR3[:-308] + box(b"mdat", bytes(9), 0), "x").suffix == ".cr3"
     assert identify(CR3[:-308] + struct.pack(">I4sQ", 1, b"mdat", 16), "x").suffix == ".cr3"
@@ -121,7 +121,7 @@ def test_directories_in_a_ring_end():
 
 
 @given(st.binary(max_size=200), st.sampled_from([b"", b"II*\0", b"MM\0*", b"II*\0\x08\0\0\0"]))
-def test_a_file_is_told_as_its_bytes_are(tmp_path_factory, noise, head):
+def test_a_file_is_recognised_by_its_bytes(tmp_path_factory, noise, head):
     path = tmp_path_factory.getbasetemp() / "noise"
     path.write_bytes(head + noise)
 

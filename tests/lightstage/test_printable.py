@@ -8,7 +8,7 @@ from lightstage.cameras.process import CameraProcess
 from lightstage.errors import DeviceError, LightstageError
 from lightstage.leds import wire
 from lightstage.operator.view import View
-from lightstage.operator.words import said
+from lightstage.operator.words import notice_of
 from lightstage.printable import LONGEST, printable, printable_lines
 from lightstage.tiff import Directory
 from tests.lightstage.cameras.camera_drivers import HOSTILE
@@ -91,8 +91,8 @@ def test_text_of_a_photographs_headers_is_printable():
 def test_a_line_of_a_journal_from_elsewhere_is_shown_printable(event):
     names = ("said", "found", "expected", "where", "hint", "camera", "pattern", "subject", "code")
     line = {"event": event, **dict.fromkeys(names, HOSTILE), "cameras": [HOSTILE]}
-    assert str(said(line, HOSTILE)).isprintable()
+    assert str(notice_of(line, HOSTILE)).isprintable()
     view = View("S")
-    view.told(line)
-    view.told({"event": "devices", "led_device": {"firmware": HOSTILE}, "told": {HOSTILE: {}}})
+    view.receive(line)
+    view.receive({"event": "devices", "led_device": {"firmware": HOSTILE}, "told": {HOSTILE: {}}})
     assert (view.who + view.lights).isprintable()

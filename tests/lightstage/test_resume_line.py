@@ -19,7 +19,7 @@ def test_a_pasted_line_has_the_same_words_whatever_the_folder_is_called(session)
     assert words == ["lightstage", "capture", "--resume", "--out", session, *OPTIONS]
 
 
-def test_a_line_whose_options_are_not_known_says_so():
+def test_a_line_whose_options_are_not_known_reports_it():
     assert retake_line("/s", ["full"]).endswith("(with --leds and --cameras as before)")
 
 

@@ -143,7 +143,7 @@ def test_nothing_is_odd_about_the_default_rig():
 
 
 @pytest.mark.parametrize("code", ODD)
-def test_what_is_odd_is_said(code):
+def test_what_is_odd_is_reported(code):
     rig = ODD[code]
     codes = {finding.code for finding in rig_oddities(rig)}
     assert code in codes
@@ -165,7 +165,7 @@ def test_the_command_draws_and_says(tmp_path):
     assert not ((plain[..., 0] > 200) & (plain[..., 1:].max(axis=2) < 120)).any()
 
 
-def test_the_command_says_which_channels_a_rig_uses(tmp_path):
+def test_the_command_names_which_channels_a_rig_uses(tmp_path):
     lights = [
         dataclasses.replace(light, address=LightAddress(3 + light.id))
         for light in default_rig().lights
@@ -179,7 +179,7 @@ def test_the_command_says_which_channels_a_rig_uses(tmp_path):
     assert "168 lights on channels 3 to 170, 9 cameras" in message
 
 
-def test_the_command_says_which_channels_of_which_controller_a_rig_uses(tmp_path):
+def test_the_command_names_which_channels_of_which_controller_a_rig_uses(tmp_path):
     lights = [
         dataclasses.replace(light, address=LightAddress(light.id // 2, "ab"[light.id % 2]))
         for light in default_rig().lights

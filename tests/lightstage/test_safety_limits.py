@@ -37,7 +37,7 @@ def test_lights_by_solid_angle_flash_no_less_than_plain_ones():
     assert rates[0] == rates[1] > 2
 
 
-def test_both_limits_are_told_at_once(small_rig):
+def test_both_limits_are_reported_at_once(small_rig):
     shots = plan_shots(["full", "x+", "x-", "y+", "y-", "z+", "z-"], small_rig)
     config = SafetyConfig(light_interval_s=0.05, max_light_on_s=10.0)
     with pytest.raises(ConfigError) as caught:

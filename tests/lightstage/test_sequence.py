@@ -9,7 +9,7 @@ from lightstage.rig import default_rig
 from lightstage.sequence import plan_shots
 
 
-def test_all_wrong_patterns_are_told_at_once(small_rig):
+def test_all_wrong_patterns_are_reported_at_once(small_rig):
     with pytest.raises(PatternError, match=r"(?s)3 problems.*'nope'.*'full'.*twice.*olat-100"):
         plan_shots(["full", "nope", "full", "olat-100"], small_rig)
 

@@ -251,7 +251,7 @@ def test_the_other_side_is_a_better_guess_than_the_surroundings():
     assert errors[0] < 0.4 * errors[1]
 
 
-def test_vertices_without_another_side_say_so():
+def test_vertices_without_another_side_are_marked():
     rest = np.array([[10.0, 0, 0], [-10.0, 0.5, 0], [40.0, 5, 5]])
     assert mirrored_vertices(rest, 1.0).tolist() == [1, 0, -1]
 

@@ -111,7 +111,7 @@ def test_no_background_bleeds_in_and_scalars_keep_their_value(textured):
     assert np.abs(out.read_atlas("ambient_occlusion") - 0.9).max() < 2e-3
 
 
-def test_unseen_texels_say_so_and_carry_a_smooth_guess(textured):
+def test_unseen_texels_are_marked_and_carry_a_smooth_guess(textured):
     out, _, _ = textured
     confidence, view = out.read_atlas("confidence"), out.read_atlas("view")
     back = out.read_atlas("position")[..., 2] < -85
@@ -125,7 +125,7 @@ def test_unseen_texels_say_so_and_carry_a_smooth_guess(textured):
     assert guess.max() < 0.75
 
 
-def test_coverage_and_filled_say_what_is_seen(textured):
+def test_coverage_and_filled_state_what_is_seen(textured):
     out, _, _ = textured
     confidence, view = out.read_atlas("confidence"), out.read_atlas("view")
     coverage, filled = out.read_atlas("coverage"), out.read_atlas("filled")

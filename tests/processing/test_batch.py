@@ -154,7 +154,7 @@ def test_a_stopped_batch_ends_its_stage_at_the_next_sign_of_progress(
     assert work.step(order(sessions[0], tmp_path / "out", batch="other"), True).status == "done"
 
 
-def test_a_full_disk_and_full_memory_are_told_apart_from_bad_input(
+def test_a_full_disk_and_full_memory_are_distinguished_from_bad_input(
     sessions: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(error: Exception) -> Callable[..., None]:
@@ -235,7 +235,7 @@ def test_a_number_of_workers_that_is_none_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_scheduler_that_is_not_there_is_told(
+def test_a_scheduler_that_is_not_there_is_reported(
     sessions: list[Path], tmp_path: Path, command: Callable[..., Any]
 ) -> None:
     (tmp_path / "soon.toml").write_text("[batch]\nanswer_s = 0.3\n")

@@ -189,7 +189,7 @@ def test_a_worker_of_another_version_gets_no_more_work() -> None:
     assert workers.calls[-1][2] == ("w0",)
 
 
-def test_a_batch_of_which_no_worker_fits_any_more_ends_and_says_why() -> None:
+def test_a_batch_of_which_no_worker_fits_any_more_ends_and_gives_the_reason() -> None:
     def answer(_: str, looked: bool, nth: int) -> object:
         if looked:
             return done(("decode",))

@@ -110,7 +110,7 @@ def test_what_does_not_fit_is_refused_by_worker_and_before_any_work(
     assert workers.client.ran == ([] if "expected" in message else [work.about])
 
 
-def test_all_that_does_not_fit_is_told_at_once(session: Path, tmp_path: Path) -> None:
+def test_all_that_does_not_fit_is_reported_at_once(session: Path, tmp_path: Path) -> None:
     wrong = {f"w{i}": {"about": {"code": "old", "template": None}} for i in range(3)}
     with pytest.raises(LightstageError) as caught:
         fit(FakeWorkers(OURS, wrong), session, tmp_path / "out")
@@ -124,7 +124,7 @@ def test_workers_that_fit_are_counted_by_machine(session: Path, tmp_path: Path) 
     assert fit(FakeWorkers(OURS, fitting), session, tmp_path / "out") == 2
 
 
-def test_a_scheduler_without_workers_is_told(session: Path, tmp_path: Path) -> None:
+def test_a_scheduler_without_workers_is_reported(session: Path, tmp_path: Path) -> None:
     with pytest.raises(LightstageError, match="found no worker, expected at least one"):
         fit(FakeWorkers(OURS, {}), session, tmp_path / "out")
 

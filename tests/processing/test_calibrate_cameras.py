@@ -172,7 +172,7 @@ def test_adjusting_never_makes_it_worse(model: str, seed: int) -> None:
     assert np.isfinite(after).all()
 
 
-def test_how_sure_a_cameras_place_is_is_told(
+def test_how_sure_a_cameras_place_is_is_reported(
     true_rig: Rig, written: Rig, measured: MeasuredCameras
 ) -> None:
     found = dataclasses.replace(true_rig, cameras=measured.cameras)

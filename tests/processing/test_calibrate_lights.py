@@ -99,7 +99,7 @@ def test_highlights_of_no_lamp_do_not_move_the_lamps() -> None:
     assert np.quantile(across, 0.95) < 1.5
 
 
-def test_a_ball_of_another_size_and_an_empty_stage_are_told() -> None:
+def test_a_ball_of_another_size_and_an_empty_stage_are_reported() -> None:
     rig = small_rig(5, 0.3)
     ball = Ball(np.zeros(3), 50.0, 0.6)
     seen = sightings(rig, rig.positions_mm, ball, 0, 0.02)
@@ -190,7 +190,7 @@ def test_lamps_seen_once_each_are_not_known_however_well_they_fit_themselves() -
 
 
 @pytest.mark.parametrize("noise", [0.003, 0.05, 0.5])
-def test_the_error_of_an_intensity_is_told_where_few_lamps_are_seen_twice(noise: float) -> None:
+def test_the_error_of_an_intensity_is_reported_where_few_lamps_are_seen_twice(noise: float) -> None:
     rng = np.random.default_rng(4)
     lamp = np.concatenate([np.arange(100), np.arange(40)])
     group = rng.integers(0, 5, 140)
@@ -226,7 +226,7 @@ def test_intensities_come_out_of_highlights_of_unlike_photographs() -> None:
     assert np.isinf(sigma[30])
 
 
-def test_gains_make_the_light_of_each_pattern_right_though_lamps_cannot_be_told_apart() -> None:
+def test_gains_make_the_light_of_each_pattern_right_though_lamps_cannot_be_distinguished() -> None:
     rng = np.random.default_rng(3)
     gain = np.exp(0.1 * rng.normal(size=(COUNT, 3)))
     readings = readings_of(RIG, gain)
@@ -295,7 +295,7 @@ def test_stray_light_of_a_pattern_is_found_as_it_was_put_in() -> None:
     np.testing.assert_allclose(back, extra, atol=0.15 * np.abs(extra).max())
 
 
-def test_a_grey_balls_outline_tells_where_it_is() -> None:
+def test_a_grey_balls_outline_shows_where_it_is() -> None:
     rig = small_rig(3, 0.06)
     place = (7.0, -12.0, 20.0)
     shots = take(rig, lamps_of(rig), "grey", place, ("full",))

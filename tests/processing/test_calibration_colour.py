@@ -147,7 +147,7 @@ def test_the_root_polynomial_is_used_only_where_held_out_skin_gains_as_well(scie
     assert fit.facts["used"] == "matrix"
 
 
-def test_glare_clipping_and_what_is_no_number_are_left_out_and_said():
+def test_glare_clipping_and_what_is_no_number_are_left_out_and_reported():
     raw = KNOWN @ RAW_FROM_LINEAR.T
     raw[13] += 0.3  # glare
     raw[4] = np.nan
@@ -159,7 +159,7 @@ def test_glare_clipping_and_what_is_no_number_are_left_out_and_said():
     json.dumps(fit.facts, allow_nan=False)
 
 
-def test_too_few_patches_are_an_error_that_says_how_many():
+def test_too_few_patches_are_an_error_that_states_how_many():
     raw = KNOWN @ RAW_FROM_LINEAR.T
     cut = np.zeros(24)
     cut[:9] = 1

@@ -47,7 +47,9 @@ def separated(session: Path, out: Path) -> dict[str, list[str]]:
 
 
 @pytest.mark.parametrize("lost", ["x+", "z-", "full"])
-def test_a_lost_photograph_is_rebuilt_and_said(session: Path, tmp_path: Path, lost: str) -> None:
+def test_a_lost_photograph_is_rebuilt_and_reported(
+    session: Path, tmp_path: Path, lost: str
+) -> None:
     lose(session, f"{lost}/cam1")
     warnings = separated(session, tmp_path / "out")["warnings"]
     assert [line for line in warnings if f"{lost} has no photograph by cam1: rebuilt as" in line]

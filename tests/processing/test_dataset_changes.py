@@ -187,7 +187,7 @@ def test_a_store_of_an_earlier_version_is_read_and_not_added_to(
         verify_store(store)
 
 
-def test_the_history_says_which_scans_a_fingerprint_stood_for(
+def test_the_history_names_which_scans_a_fingerprint_stood_for(
     people: list[Path], tmp_path: Path
 ) -> None:
     store = build_store(people[:2], tmp_path / "store")

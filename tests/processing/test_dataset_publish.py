@@ -332,7 +332,7 @@ def test_statistics_need_enough_people(tmp_path: Path, make_processed: Make) -> 
     np.testing.assert_allclose(shown["shape_mean"], 0, atol=1e-4)
 
 
-def test_what_it_cannot_protect_is_said_in_the_folder(store: Store, released: Path) -> None:
+def test_what_it_cannot_protect_is_reported_in_the_folder(store: Store, released: Path) -> None:
     facts = json.loads((released / "dataset.json").read_text())["cannot_protect"]
     for word in ("moles", "join", "consent"):
         assert word in facts
@@ -472,7 +472,7 @@ def test_neither_dataset_takes_the_place_of_the_other(
     assert "of kind 'store', not 'published'" in str(done.exception)
 
 
-def test_a_published_set_given_to_publish_is_told_from_one_given_to_training(
+def test_a_published_set_given_to_publish_is_distinguished_from_one_given_to_training(
     released: Path, tmp_path: Path
 ) -> None:
     again = ["dataset", "publish", str(released), "--out", str(tmp_path / "again")]

@@ -291,7 +291,7 @@ def test_one_pseudonym_of_a_simulated_and_a_captured_person_is_refused(
     assert len(open_store(build_store([captured, smile], tmp_path / "out" / "store")).scans) == 2
 
 
-def test_a_store_that_lost_or_changed_a_part_is_told_and_not_read_as_zeros(
+def test_a_store_that_lost_or_changed_a_part_is_reported_and_not_read_as_zeros(
     tmp_path: Path, make_processed: Make
 ) -> None:
     roots = [make_processed(tmp_path / name, subject=name, seed=k) for k, name in enumerate("abc")]
@@ -342,7 +342,7 @@ def test_a_copy_of_a_scan_and_two_draws_of_one_pseudonym_are_refused(
     assert not (tmp_path / "store").exists()
 
 
-def test_a_folder_of_processed_folders_is_told_with_what_to_name(
+def test_a_folder_of_processed_folders_is_reported_with_what_to_name(
     tmp_path: Path, make_processed: Make
 ) -> None:
     people = tmp_path / "my people"
@@ -360,7 +360,7 @@ def test_a_folder_without_the_map_of_skin_is_refused(tmp_path: Path, make_proces
         build_store([root], tmp_path / "store")
 
 
-def test_the_store_says_who_consented_and_who_is_simulated(
+def test_the_store_states_who_consented_and_who_is_simulated(
     tmp_path: Path, make_processed: Make
 ) -> None:
     asked = make_processed(tmp_path / "asked", consent="C-17")

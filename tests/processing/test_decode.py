@@ -203,7 +203,7 @@ def test_each_channel_tells_where_it_clipped(root: Path, tmp_path: Path) -> None
     assert np.count_nonzero(frames.clipped) == 3 * 25
 
 
-def test_unlike_exposures_are_brought_to_one_and_told(tmp_path: Path) -> None:
+def test_unlike_exposures_are_brought_to_one_and_reported(tmp_path: Path) -> None:
     shots = photographs()
     usual = write_raw_session(tmp_path / "usual", RIG, shots, COLOUR)
     exact, _ = decoded(usual, tmp_path / "out1")
@@ -227,7 +227,7 @@ def test_colours_made_at_another_exposure_are_scaled_to_it(root: Path, tmp_path:
     np.testing.assert_allclose(scaled.images, 2 * plain.images, rtol=2e-3, atol=1e-3)
 
 
-def test_exposures_that_no_file_tells_are_said_to_be_taken_as_equal(
+def test_exposures_that_no_file_states_are_reported_as_taken_to_be_equal(
     root: Path, tmp_path: Path
 ) -> None:
     assert not any(

@@ -114,7 +114,7 @@ def test_without_a_word_from_the_views_nothing_moves() -> None:
         assert not found.height_mm.any()
 
 
-def test_a_surface_behind_another_tells_nothing() -> None:
+def test_a_surface_behind_another_shows_nothing() -> None:
     far, near = sheet(7), sheet(11)
     behind = Mesh(far.vertices - [0, 0, 5.0], far.faces)
     both = Mesh(
@@ -195,7 +195,7 @@ def test_heights_are_those_of_the_dense_twin(
 
 
 @given(st.lists(st.floats(-5, 5), min_size=3, max_size=3), st.booleans())
-def test_slopes_turn_the_normal_into_the_one_told(values: list[float], known: bool) -> None:
+def test_slopes_turn_the_normal_into_the_given_one(values: list[float], known: bool) -> None:
     normal = np.array([[0.0, 0.6, 0.8]])
     unit = np.array([values]) + 3 * normal
     unit /= max(float(np.linalg.norm(unit)), 1e-9)

@@ -165,7 +165,7 @@ def test_an_albedo_of_incident_light_is_scored_with_the_light_that_enters(
     assert min(albedo_bias(AlbedoOf.ENTERED)) > 0.01
 
 
-def test_only_confident_pixels_of_true_skin_count_and_the_share_is_said(
+def test_only_confident_pixels_of_true_skin_count_and_the_share_is_reported(
     folders: tuple[ProcessedFolder, ProcessedFolder],
 ) -> None:
     out, truth = folders
@@ -269,7 +269,7 @@ def test_predicted_maps_without_confidence_are_scored_on_all_skin(
     assert truth.root.exists()
 
 
-def test_nothing_to_compare_is_said(tmp_path: Path) -> None:
+def test_nothing_to_compare_is_reported(tmp_path: Path) -> None:
     with pytest.raises(LightstageError, match="a: found no such folder"):
         evaluate(tmp_path / "a", tmp_path / "b")
     for name in "ab":

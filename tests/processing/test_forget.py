@@ -125,7 +125,7 @@ def test_a_copy_elsewhere_and_what_killed_processes_left_go_too(
     assert not (lab / "store" / "scans" / ".adding-01234567").exists()
 
 
-def test_what_names_the_person_still_is_told_and_exits_2(
+def test_what_names_the_person_still_is_reported_and_exits_2(
     lab: Path, tmp_path: Path, command: Callable[..., Any]
 ) -> None:
     (lab / "notes.txt").write_text("person-1 wore glasses; person-10 did not")

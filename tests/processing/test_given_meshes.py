@@ -119,7 +119,7 @@ def test_shadows_of_an_occluder_are_no_shape_of_the_skin() -> None:
 @pytest.mark.parametrize(
     ("factor", "message"), [(0.001, "Is it in metres? Then multiply it by 1000"), (0.1, "in cm")]
 )
-def test_a_mesh_in_another_unit_is_told(tmp_path: Path, factor: float, message: str) -> None:
+def test_a_mesh_in_another_unit_is_reported(tmp_path: Path, factor: float, message: str) -> None:
     path = write_ply(Mesh(factor * head().vertices, head().faces), tmp_path / "head.ply")
     with pytest.raises(ReconstructionError, match=re.escape(message)):
         given_mesh(path, CAMERAS, np.zeros((0, 3)))
@@ -127,7 +127,7 @@ def test_a_mesh_in_another_unit_is_told(tmp_path: Path, factor: float, message: 
         read_given(path)
 
 
-def test_faces_that_look_inward_are_turned_and_told(tmp_path: Path) -> None:
+def test_faces_that_look_inward_are_turned_and_reported(tmp_path: Path) -> None:
     shape = head()
     points = on_surface(shape, 300, np.random.default_rng(0))
     path = write_obj(Mesh(shape.vertices, shape.faces[:, ::-1]), tmp_path / "head.obj")
@@ -147,7 +147,7 @@ def test_faces_that_look_inward_are_turned_and_told(tmp_path: Path) -> None:
     outside=st.floats(0, 0.15),
 )
 @settings(max_examples=15, deadline=None)
-def test_a_mesh_elsewhere_is_told_with_the_motion_that_would_mend_it(
+def test_a_mesh_elsewhere_is_reported_with_the_motion_that_would_mend_it(
     seed: int, shift: tuple[float, float, float], degrees: float, outside: float
 ) -> None:
     """Some points lie off the mesh, as hair and clothes do."""

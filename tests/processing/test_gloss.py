@@ -245,7 +245,7 @@ def test_a_grids_linear_field_is_the_same_in_the_whole_view(
     np.testing.assert_allclose(found, known, atol=1e-4 * (1 + np.abs(known).max()))
 
 
-def test_where_the_grid_has_no_pixel_nearby_that_is_said() -> None:
+def test_where_the_grid_has_no_pixel_nearby_that_is_reported() -> None:
     mask = np.zeros((8, 8), bool)
     mask[:4] = True
     grid = sight_of(mask, 4)

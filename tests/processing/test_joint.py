@@ -221,7 +221,7 @@ def test_chromas_normal_and_its_noise_are_those_of_plain_float64(
         np.testing.assert_allclose(found.matte_turn2[i], turn2, rtol=2e-3)
 
 
-def test_chromas_normal_errs_by_as_much_as_is_told() -> None:
+def test_chromas_normal_errs_by_as_much_as_is_predicted() -> None:
     s = skin(4, 4000, noise=0, off_deg=0.3, lit=False)
     noise = Noise(sensor=0.01, model=0, shade=0)
     rng = np.random.default_rng(0)

@@ -158,7 +158,7 @@ def test_a_mesh_that_lies_on_its_side_is_turned_until_a_face_is_seen():
 
 
 @pytest.mark.usefixtures("small_pictures")
-def test_no_face_in_any_picture_is_said():
+def test_no_face_in_any_picture_is_reported():
     class Blind:
         def find(self, pictures):
             return dict.fromkeys(pictures, np.full((68, 2), np.nan))
@@ -167,7 +167,7 @@ def test_no_face_in_any_picture_is_said():
         landmarks_of_mesh(MESH, Blind(), 2.5, MARKS)
 
 
-def test_a_missing_file_of_clicks_is_said(tmp_path):
+def test_a_missing_file_of_clicks_is_reported(tmp_path):
     with pytest.raises(FormatError):
         ClickedLandmarks(tmp_path / "none.json").find({})
     (tmp_path / "bad.json").write_text(json.dumps({"schema": "other/1"}))

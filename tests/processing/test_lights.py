@@ -134,7 +134,7 @@ def test_a_newer_lights_file_is_refused(tmp_path: Path) -> None:
         read_measured_lights(path, RIG)
 
 
-def test_a_session_without_measured_lights_has_the_rigs_and_says_so(tmp_path: Path) -> None:
+def test_a_session_without_measured_lights_has_the_rigs_and_reports_it(tmp_path: Path) -> None:
     lights = pattern_lights(session_with(tmp_path, None), BINARY)
     assert lights.source == "nominal"
     assert lights.exponent == 0

@@ -99,7 +99,7 @@ def test_all_168_lamps_are_found_however_the_stage_is_wired(rig, flaws):
         (THREE, {"off_mm": 10.0, "aim_deg": 2.0, "longer": 1.03}),
     ],
 )
-def test_what_is_not_sure_is_said_and_never_guessed(rig, flaws):
+def test_what_is_not_sure_is_reported_and_never_guessed(rig, flaws):
     found, lamp_of = looked_at(rig, 1, **flaws)
     sure = found.lamp >= 0
     assert 0.8 < sure.mean() < 1

@@ -278,7 +278,7 @@ def test_a_view_without_any_good_pixel_gives_empty_maps(case: str) -> None:
         assert not getattr(maps, field.name).any(), field.name
 
 
-def test_grey_pixels_tell_nothing_by_colour_and_all_by_polarisation() -> None:
+def test_grey_pixels_show_nothing_by_colour_and_all_by_polarisation() -> None:
     grey = dataclasses.replace(BALL, albedo=(0.4, 0.4, 0.4))
     by_colour = shots.photograph(grey, SIGHT, RIG, SEQUENCES["binary"])
     assert not solved("linear on binary", rgb=by_colour).confidence.any()
@@ -332,7 +332,7 @@ def test_one_bank_alone_is_not_separated() -> None:
         ("mux", {"normals": "red"}, "separate.normals"),
     ],
 )
-def test_a_method_that_cannot_do_what_it_is_told_says_so(
+def test_a_method_that_cannot_do_what_it_is_set_to_reports_it(
     sequence: str, values: dict[str, str], message: str
 ) -> None:
     rig = COLOURED if sequence == "mux" else RIG

@@ -260,7 +260,7 @@ def test_a_normal_turned_from_the_camera_is_not_used(scene: Scene) -> None:
     assert found.sum() == len(normals) - len(normals[::3]) - 1
 
 
-def test_names_tell_the_family() -> None:
+def test_names_have_the_family() -> None:
     assert [facets.name for facets in FAMILIES[:2]] == ["Beckmann", "GGX"]
     assert FAMILIES[2].name == "Beckmann, 2.07 times as wide sideways as upward"
     alike = "GGX, the same share at all angles, over skin that all light enters"

@@ -110,7 +110,7 @@ def test_eight_pixels_are_solved_as_each_alone(seed: int, lit: bool, shade: floa
     assert stated.max() < 1.1
 
 
-def test_noise_turns_eight_chroma_normals_by_as_much_as_is_told() -> None:
+def test_noise_turns_eight_chroma_normals_by_as_much_as_is_predicted() -> None:
     s, noise = skin(5, LANES, noise=0, off_deg=0.3), Noise(sensor=0.005, model=0, shade=0)
     table, rng = nodes_at(s)[0], np.random.default_rng(0)
     sigma = noise.sensor * np.sqrt(0.25 + s.rgb)

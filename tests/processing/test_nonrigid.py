@@ -77,7 +77,7 @@ def test_noise_on_the_scan_is_not_copied():
     assert np.sqrt(np.mean(clean**2)) < 0.2
 
 
-def test_vertices_told_to_be_free_ignore_the_scan():
+def test_vertices_that_are_set_free_ignore_the_scan():
     template = ellipsoid_template()
     truth = warp(template.mesh.vertices, 3.0)
     free = np.ones(len(truth), bool)

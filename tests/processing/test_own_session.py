@@ -81,7 +81,7 @@ def test_the_report_tells_where_the_record_was_removed(session: Path, processed:
         run(session, processed, TEMPLATE, PipelineConfig(), until="decode")
 
 
-def test_a_folder_says_whose_it_is_before_its_first_stage_ends(
+def test_a_folder_states_whose_it_is_before_its_first_stage_ends(
     session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def cut_short(*_: object) -> dict[str, object]:

@@ -69,7 +69,7 @@ def test_roughness_is_shown_on_its_own_scale() -> None:
     assert set(CAPTIONS) >= {"roughness", "specular_normal", "confidence"}
 
 
-def test_a_confidence_says_what_its_dots_are_and_what_would_be_bad() -> None:
+def test_a_confidence_states_what_its_dots_are_and_what_would_be_bad() -> None:
     for captions, black in ((CAPTIONS, "not solved"), (ATLAS_CAPTIONS, "no camera")):
         for message in ("Dark dots", "Bad would be", black):
             assert message in captions["confidence"]

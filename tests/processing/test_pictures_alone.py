@@ -72,7 +72,7 @@ def test_views_without_normals_become_a_ball() -> None:
     assert (found.facts["normals"], found.facts["alone_share"]) == ("none: pictures alone", 0)
 
 
-def test_a_session_of_full_alone_becomes_a_mesh_and_says_what_it_is(
+def test_a_session_of_full_alone_becomes_a_mesh_and_states_what_it_is(
     tmp_path: Path, run_command: Callable[..., Any]
 ) -> None:
     session, out = photographed(small_rig(), "full", tmp_path), tmp_path / "out"

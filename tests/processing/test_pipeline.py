@@ -56,7 +56,7 @@ def test_frames_come_back_as_they_were_written(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.valid, valid)
 
 
-def test_missing_frames_say_which_stage_makes_them(tmp_path: Path) -> None:
+def test_missing_frames_name_which_stage_makes_them(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="decode"):
         read_frames(tmp_path, "cam0")
 
@@ -189,7 +189,7 @@ def test_unknown_keys_and_stages_exit_2(
     assert "polish" in done.err
 
 
-def test_a_stage_without_those_before_it_says_what_to_run(session: Path, tmp_path: Path) -> None:
+def test_a_stage_without_those_before_it_states_what_to_run(session: Path, tmp_path: Path) -> None:
     with pytest.raises(ProcessingError, match="--until reconstruct"):
         run(session, tmp_path / "out", TEMPLATE, PipelineConfig(), only="refine")
 
@@ -227,7 +227,7 @@ def test_atlas_rows_are_refused_before_any_stage_runs(
     assert not (tmp_path / "out").exists()
 
 
-def test_no_landmarks_and_no_detector_are_told_before_any_stage_runs(
+def test_no_landmarks_and_no_detector_are_reported_before_any_stage_runs(
     session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (session / "landmarks.json").unlink(missing_ok=True)

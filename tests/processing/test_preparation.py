@@ -161,7 +161,7 @@ def test_a_scarf_that_moved_alone_leaves_the_face_as_it_was(tmp_path: Path, numb
     assert facts["displaced_px"][PATTERNS[number]] > 1
 
 
-def test_flicker_of_one_photograph_is_evened_out_and_said(tmp_path: Path) -> None:
+def test_flicker_of_one_photograph_is_evened_out_and_reported(tmp_path: Path) -> None:
     images = noisy(still())
     images[5] *= np.float32(1.04)
     facts = prepared(images, tmp_path)

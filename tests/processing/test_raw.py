@@ -253,7 +253,7 @@ def test_sensors_without_red_green_and_blue_are_refused(tmp_path: Path) -> None:
         open_raw(odd)
 
 
-def test_a_file_that_tells_no_exposure_says_so(tmp_path: Path) -> None:
+def test_a_file_that_states_no_exposure_reports_it(tmp_path: Path) -> None:
     path = write_dng(tmp_path / "a.dng", counts_of(gradient()), exposure=None)
     assert read_exposure(path) is None
 

@@ -216,7 +216,7 @@ def test_largest_component_and_loops_of_a_grid_with_a_hole() -> None:
         assert (vertex_normals(turned.vertices, turned.faces)[:, 2] > 0.99).all()
 
 
-def test_the_share_of_the_surface_that_rests_on_one_view_is_told() -> None:
+def test_the_share_of_the_surface_that_rests_on_one_view_is_reported() -> None:
     x, y = np.meshgrid(np.arange(40.0), np.arange(40.0))
     places = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
     mesh = Mesh(places, np.zeros((0, 3), np.int32))

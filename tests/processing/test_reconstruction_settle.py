@@ -139,7 +139,7 @@ def test_what_points_face_is_its_plain_twin(
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-9)
 
 
-def test_points_that_contradict_each_other_tell_no_direction() -> None:
+def test_points_that_contradict_each_other_show_no_direction() -> None:
     mesh = cap(2.0)
     points, normals = points_on_ball()
     tipped = normals + 0.9 * np.where(np.arange(len(points))[:, None] % 2, 1.0, -1.0) * [1, 0, 0]

@@ -73,7 +73,7 @@ def test_large_pictures_are_made_smaller(rows: int, times: int) -> None:
     assert matched_times(rows, 1600) == times
 
 
-def test_poses_are_checked_in_smaller_pictures_and_told_in_whole_ones() -> None:
+def test_poses_are_checked_in_smaller_pictures_and_reported_in_whole_ones() -> None:
     picture = np.arange(35, dtype=np.uint8).reshape(5, 7)
     mask = picture != 8
     small, inside = smaller_picture(picture, mask, 2)

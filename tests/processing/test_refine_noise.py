@@ -52,7 +52,7 @@ def test_motion_at_some_edges_is_no_noise() -> None:
     assert found.sensor * np.sqrt(found.floor + 0.4) == pytest.approx(0.00081, rel=0.25)
 
 
-def test_pictures_made_of_others_tell_no_noise() -> None:
+def test_pictures_made_of_others_show_no_noise() -> None:
     rgb = readings(0.005, 0.25)
     for k in (2, 4, 6):
         rgb[:, k] = rgb[:, 0] - rgb[:, k - 1]

@@ -59,7 +59,7 @@ def test_what_the_mesh_does_not_have_is_not_compared():
     assert none["scan_in_common_to_template_p95_mm"] is None
 
 
-def test_an_area_that_is_pressed_flat_is_told_by_its_name_and_drawn_on_the_scan(tmp_path):
+def test_an_area_that_is_pressed_flat_is_reported_by_its_name_and_drawn_on_the_scan(tmp_path):
     """Every vertex of the mesh lies on the scan; only the scan's points see what it leaves out."""
     mesh = bumpy_ellipsoid()
     side = mesh.vertices[:, 0] > 0.9 * mesh.vertices[:, 0].max()

@@ -153,7 +153,7 @@ def test_an_unknown_key_is_refused_and_texts_of_lines_are_taken(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("groups", "most"), [(2, 40), (3, 24), (4, 16)])
-def test_no_group_of_fewer_than_five_follows_from_what_is_told(groups: int, most: int) -> None:
+def test_no_group_of_fewer_than_five_follows_from_what_is_published(groups: int, most: int) -> None:
     """By whoever knows the rule and the total, from all tables that there may be."""
     alike: dict[Any, list[tuple[int, ...]]] = {}
     for counts in itertools.product(range(most + 1), repeat=groups):
@@ -170,7 +170,7 @@ def test_no_group_of_fewer_than_five_follows_from_what_is_told(groups: int, most
 
 
 @given(st.lists(st.integers(0, 1000), max_size=8))
-def test_groups_that_are_told_hold_everybody_and_five_or_more(counts: list[int]) -> None:
+def test_groups_that_are_published_hold_everybody_and_five_or_more(counts: list[int]) -> None:
     shown = published_counts({f"g{index}": count for index, count in enumerate(counts)})
     groups = [name.replace(" or ", ", ").split(", ") for name in shown]
     everyone = [name for names in groups for name in names]
@@ -212,7 +212,7 @@ def test_people_are_counted_by_what_the_store_knows(tmp_path: Path, make_process
         assert all(table["said"] in text for table in tables.values())
 
 
-def test_what_the_store_does_not_know_is_said(tmp_path: Path, store: Store) -> None:
+def test_what_the_store_does_not_know_is_reported(tmp_path: Path, store: Store) -> None:
     out = publish(store, tmp_path / "out", config=SMALL)
     for text in ((out / name).read_text() for name in ("DATASHEET.md", "croissant.json")):
         assert "The lab's store knows nobody's age." in text

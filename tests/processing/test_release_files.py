@@ -85,7 +85,7 @@ def test_tars_hold_the_patches_of_the_zarr_group_in_its_order(
     assert two[0] == two[1]
 
 
-def test_files_in_a_tar_tell_no_time_no_owner_and_no_patch_by_their_size(
+def test_files_in_a_tar_show_no_time_no_owner_and_no_patch_by_their_size(
     tmp_path: Path, store: Store
 ) -> None:
     out = publish(store, tmp_path / "out", SEED, dataclasses.replace(SMALL, form="webdataset"))
@@ -112,7 +112,7 @@ def test_every_file_of_a_release_has_a_checksum(
 
 
 @pytest.mark.parametrize("form", ["zarr", "webdataset"])
-def test_files_of_a_release_tell_no_time_and_parts_of_a_map_have_one_size(
+def test_files_of_a_release_show_no_time_and_parts_of_a_map_have_one_size(
     tmp_path: Path, store: Store, form: Literal["zarr", "webdataset"]
 ) -> None:
     out = publish(store, tmp_path / "out", SEED, dataclasses.replace(SMALL, form=form))

@@ -146,7 +146,7 @@ def test_why_names_each_stages_reason_and_runs_nothing(
     } == {path: when for path, when in times.items() if path.exists() and path.is_file()}
 
 
-def test_records_of_an_older_version_say_so(session: Path, tmp_path: Path) -> None:
+def test_records_of_an_older_version_report_it(session: Path, tmp_path: Path) -> None:
     out, template = tmp_path / "out", default_template_path()
     run(session, out, template, PipelineConfig(), until="decode")
     path = out / "stages.json"

@@ -143,7 +143,7 @@ def test_overlaps_are_the_triangles_that_share_texels_and_neighbours_are_none():
     assert share == pytest.approx(1 / 15, rel=0.05)
 
 
-def test_mirrored_islands_and_triangles_turned_over_are_told_apart():
+def test_mirrored_islands_and_triangles_turned_over_are_distinguished():
     mesh = sheet()
     whole, over, flat = mirrored(mesh)
     assert not (whole | over | flat).any()

@@ -115,7 +115,7 @@ def test_regions_are_where_they_are_on_a_face(made):
     assert skin[made.landmarks[30]]
 
 
-def test_maps_and_fields_say_what_it_is_made_of(made, folder):
+def test_maps_and_fields_state_what_it_is_made_of(made, folder):
     assert made.licence == "MIT"
     assert "ICT" in made.source
     assert made.name.startswith("ICT")

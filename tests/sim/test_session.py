@@ -89,7 +89,7 @@ def test_click_noise_has_the_stated_size(world, tmp_path):
     assert 0.35 < off.std() < 0.65
 
 
-def test_truth_maps_of_a_view_say_what_the_camera_sees(truth, world, ball):
+def test_truth_maps_of_a_view_state_what_the_camera_sees(truth, world, ball):
     folder = ProcessedFolder(truth)
     surface = world.surfaces["cam1"]
     mask = folder.read_mask("cam1")
@@ -202,7 +202,7 @@ def test_a_failed_capture_is_an_error_and_leaves_no_session(world, tmp_path, cap
     assert not (tmp_path / "s" / "session.json").exists()
 
 
-def test_lamps_that_fail_end_the_capture_and_say_why(world, tmp_path, monkeypatch):
+def test_lamps_that_fail_end_the_capture_and_give_the_reason(world, tmp_path, monkeypatch):
     def broken(self: Photographer, levels: np.ndarray, folders: CameraFolders) -> None:
         if levels.any():
             raise SimError("lamps", found="no current")

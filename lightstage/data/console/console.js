@@ -1,4 +1,4 @@
-// Keys, sounds, and the journal's lines as they come. All that is shown comes from the server: without
+// Keys, sounds, and the journal's lines as they are written. All that is shown comes from the server: without
 // a stream of events the page asks every two seconds by itself (hx-trigger in the pages).
 "use strict";
 
@@ -23,7 +23,7 @@ function unlock() {
 }
 
 function play(name) {
-  document.body.dataset.sound = name; // also what a test can see
+  document.body.dataset.sound = name; // for tests
   if (muted() || audio === null || !(name in SOUNDS)) return;
   let at = audio.currentTime + 0.02;
   for (const [pitch, length] of SOUNDS[name]) {
@@ -56,12 +56,12 @@ function pressed(event) {
   if (event.repeat || event.ctrlKey || event.altKey || event.metaKey) return;
   if (event.target.matches("input, textarea, select")) return;
   const look = document.getElementById("look");
-  // A stop works from everywhere; other keys belong to what lies on top.
+  // q works from everywhere; an open dialog takes all other keys.
   const button = document.querySelector(`[data-key="${CSS.escape(event.key)}"]`);
   if (look.open && event.key !== "q") return;
   if (button !== null && button.dataset.says) {
     event.preventDefault();
-    document.getElementById("said").textContent = button.dataset.says;
+    document.getElementById("message").textContent = button.dataset.says;
   } else if (button !== null) {
     event.preventDefault();
     button.click();
@@ -73,15 +73,15 @@ function pressed(event) {
 // --- events ---------------------------------------------------------------------------------------
 function follow(part) {
   let waiting = 0;
-  // From the first line that is remembered on: the list below shows what happened before, without a sound.
+  // Begins at the first line that the server keeps: the list shows what happened before, without a sound.
   const shown = Number(part.dataset.after);
   const stream = new EventSource(`${part.dataset.events}?after=0`);
   stream.onmessage = (event) => {
-    const told = JSON.parse(event.data);
-    if (told.sound && told.id > shown) play(told.sound);
-    if (told.text && told.tone !== "quiet") write(told);
-    // Several lines within a moment are one look.
-    if (!waiting && !(told.id <= shown)) {
+    const line = JSON.parse(event.data);
+    if (line.sound && line.id > shown) play(line.sound);
+    if (line.text && line.tone !== "quiet") write(line);
+    // Lines that come together redraw the page once.
+    if (!waiting && !(line.id <= shown)) {
       waiting = setTimeout(() => {
         waiting = 0;
         htmx.trigger(part, "stage");
@@ -91,21 +91,21 @@ function follow(part) {
   addEventListener("pagehide", () => stream.close());
 }
 
-function write(told) {
+function write(line) {
   const list = document.getElementById("log");
-  const line = document.createElement("li");
-  line.textContent = `${told.at} ${told.sign} ${told.text.replace(/\.$/, "")}${told.todo ? ". " + told.todo : ""}`;
-  list.prepend(line);
+  const item = document.createElement("li");
+  item.textContent = `${line.at} ${line.sign} ${line.text.replace(/\.$/, "")}${line.todo ? ". " + line.todo : ""}`;
+  list.prepend(item);
   while (list.children.length > LINES_SHOWN) list.lastChild.remove();
 }
 
-// What a page shows is old once the console does not answer, or knows this page no longer.
+// What a page shows is old once the console does not answer, or does not know this page any more.
 function lost(why) {
   for (const id of ["lost", "unknown"]) document.getElementById(id).hidden = id !== why;
   document.body.classList.toggle("old", why !== "");
 }
 
-// What was pressed is sent before the page is left: a stop must not be lost on the way.
+// A request is sent before the page is left: a stop must not be lost.
 let sending = 0;
 let going = "";
 function leave(url) {
@@ -121,12 +121,12 @@ function counted(by) {
   };
 }
 
-// A word on what was pressed ends with the state that it was said of.
+// The message about a key disappears when the state that it was about changes.
 let phase = "";
 function forget() {
   const banner = document.querySelector("[data-phase]");
   const now = banner === null ? "" : banner.dataset.phase;
-  if (now !== phase && phase !== "") document.getElementById("said").textContent = "";
+  if (now !== phase && phase !== "") document.getElementById("message").textContent = "";
   phase = now;
 }
 
@@ -150,7 +150,7 @@ document.addEventListener("DOMContentLoaded", () => {
     forget();
     const look = document.getElementById("look");
     if (event.detail.target === look && !look.open) look.showModal();
-    // A capture on its way has begun: its own page has what this one lacks.
+    // The capture that was starting has begun: show the page of its session.
     if (location.pathname === "/live" && event.detail.target.id === "part" && event.detail.xhr.responseURL.includes("/session/")) {
       leave(event.detail.xhr.responseURL);
     }

@@ -30,7 +30,7 @@ from tests.learning.evaluation.called import Ended, brightened
 WHITE = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
 
 
-def test_a_person_against_themselves_has_no_error_and_a_factor_is_told_apart(
+def test_a_person_against_themselves_has_no_error_and_a_factor_is_distinguished(
     people: list[ProcessedFolder], tmp_path: Path, evaluate: Callable[..., Ended]
 ) -> None:
     person = people[0]

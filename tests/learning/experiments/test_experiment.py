@@ -318,7 +318,7 @@ def test_no_training_at_all_and_unknown_keys_are_refused() -> None:
         sized("small", {"environments": 11}, "x.toml")
 
 
-def test_how_long_is_left_is_told_by_the_runs_that_are_finished(
+def test_how_long_is_left_is_estimated_by_the_runs_that_are_finished(
     store_path: Path, tmp_path: Path
 ) -> None:
     orders = [
@@ -378,7 +378,9 @@ def test_a_mistake_in_one_run_leaves_the_others_and_is_raised_as_it_is(
     assert str(command._failure(list(same))) == str(same[0])
 
 
-def test_a_run_whose_process_is_killed_is_told_in_words(store_path: Path, tmp_path: Path) -> None:
+def test_a_run_whose_process_is_killed_is_reported_in_words(
+    store_path: Path, tmp_path: Path
+) -> None:
     order = order_of(store_path, tmp_path, deadline=0.0)
     with pytest.raises(MemoryLimitError, match="process that was killed"):
         run_all([order], 2, None, lambda *_: None, killed)

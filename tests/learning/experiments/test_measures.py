@@ -30,7 +30,7 @@ from learning.patch_light import target_environment
 from learning.presets import preset
 from learning.render import occlusion
 from learning.render.environments import RandomLightConfig
-from learning.render.kept_shadows import shadows_kept_in
+from learning.render.kept_shadows import KeptShadows, shadows_of_scan
 from learning.render.occlusion import PositionGrid, bake_grid
 from learning.render.uv import rasterise
 from processing.dataset import open_store
@@ -177,12 +177,13 @@ def test_a_plot_is_whole_where_figures_are_missing(tmp_path: Path) -> None:
     draw("nothing", "", "", [], tmp_path / "empty.svg")
 
 
-def grid() -> PositionGrid:
+def grid(folder: Path | None = None, head: str = "a head") -> PositionGrid:
     row, column = np.mgrid[:12, :8].astype(np.float32)
     position = np.stack([column, -row, 3 * np.sin(column)], axis=2) * 10 + 1
     normal = np.zeros_like(position)
     normal[..., 2] = 1
-    return PositionGrid(position, normal, np.ones((12, 8), bool), "a head")
+    kept = shadows_of_scan(folder, head, "skin")
+    return PositionGrid(position, normal, np.ones((12, 8), bool), kept)
 
 
 def test_kept_shadows_are_those_that_were_baked_also_where_none_can_be(
@@ -191,37 +192,43 @@ def test_kept_shadows_are_those_that_were_baked_also_where_none_can_be(
     lights = np.array([[300.0, 0, 80.0], [-300.0, 0, 80.0], [0.0, 0, 900.0]])
     baked = bake_grid(grid(), lights)
     assert 0 < baked.mean() < 1
-    with shadows_kept_in(tmp_path):
-        np.testing.assert_array_equal(bake_grid(grid(), lights), baked)
+    np.testing.assert_array_equal(bake_grid(grid(tmp_path), lights), baked)
 
     def none(*_: object) -> None:
         raise ModuleNotFoundError("open3d")
 
     monkeypatch.setattr(occlusion, "ShadowCaster", none)
-    with shadows_kept_in(tmp_path):
-        # Lamps that differ by the last bit of a sine, and positions that torch rounded otherwise.
-        other = dataclasses.replace(grid(), position_mm=grid().position_mm * np.float32(1.0001))
-        np.testing.assert_array_equal(bake_grid(other, lights * (1 + 1e-12)), baked)
-        for changed in (dataclasses.replace(grid(), name="another"), grid()):
-            with pytest.raises(ModuleNotFoundError):
-                bake_grid(changed, lights if changed.name == "another" else 2 * lights)
-    with pytest.raises(ModuleNotFoundError):
-        bake_grid(grid(), lights)
+    # Lamps that differ by the last bit of a sine, and positions that torch rounded otherwise.
+    kept = grid(tmp_path)
+    other = dataclasses.replace(kept, position_mm=kept.position_mm * np.float32(1.0001))
+    np.testing.assert_array_equal(bake_grid(other, lights * (1 + 1e-12)), baked)
+    for surface, places in (
+        (grid(tmp_path, "another"), lights),
+        (kept, 2 * lights),
+        (grid(), lights),
+    ):
+        with pytest.raises(ModuleNotFoundError):
+            bake_grid(surface, places)
 
 
 @pytest.mark.parametrize("damage", [b"", b"nothing", b"PK\x03\x04"])
 def test_a_damaged_file_of_shadows_is_baked_again(tmp_path: Path, damage: bytes) -> None:
     lights = np.array([[300.0, 0, 80.0]])
-    with shadows_kept_in(tmp_path):
-        baked = bake_grid(grid(), lights)
-        (path,) = tmp_path.iterdir()
-        path.write_bytes(damage)
-        np.testing.assert_array_equal(bake_grid(grid(), lights), baked)
-        assert len(path.read_bytes()) > len(damage)
-        wrong = path.read_bytes()
-        np.savez_compressed(path, bits=np.zeros(3, np.uint8))
-        np.testing.assert_array_equal(bake_grid(grid(), lights), baked)
-        assert path.read_bytes() == wrong
+    baked = bake_grid(grid(tmp_path), lights)
+    (path,) = tmp_path.iterdir()
+    path.write_bytes(damage)
+    np.testing.assert_array_equal(bake_grid(grid(tmp_path), lights), baked)
+    assert len(path.read_bytes()) > len(damage)
+    wrong = path.read_bytes()
+    np.savez_compressed(path, bits=np.zeros(3, np.uint8))
+    np.testing.assert_array_equal(bake_grid(grid(tmp_path), lights), baked)
+    assert path.read_bytes() == wrong
+
+
+def test_shadows_of_a_scan_without_a_hash_or_a_folder_are_not_kept(tmp_path: Path) -> None:
+    assert shadows_of_scan(None, "abc", "skin") is None
+    assert shadows_of_scan(tmp_path, "", "skin") is None
+    assert shadows_of_scan(tmp_path, "abc", "skin") == KeptShadows(tmp_path, "abc of skin")
 
 
 def patches(store_path: Path, **data: object) -> tuple[TrainConfig, PatchData]:
@@ -267,7 +274,7 @@ def test_steps_of_a_training_on_patches_go_before_its_epochs() -> None:
     assert config.steps == 7
 
 
-def test_a_step_of_the_published_networks_can_be_measured_and_its_line_is_told_from_it(
+def test_a_step_of_the_published_networks_can_be_measured_and_its_line_follows_from_it(
     store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cpu = torch.device("cpu")

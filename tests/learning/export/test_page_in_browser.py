@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 from lightstage.formats.processed import ProcessedFolder
-from tests.browser import Browser
+from sim.browser import Browser, chromium
 from tests.learning.export.called import copied, run
 
+pytestmark = pytest.mark.skipif(
+    chromium() is None, reason="no Chromium: install Debian's package chromium"
+)
 SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 """WebGL by the processor: there is no graphics card where tests run."""
 WIDTH, HEIGHT = 480, 400

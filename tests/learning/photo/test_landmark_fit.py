@@ -65,7 +65,7 @@ def test_slopes_are_those_of_differences(model: ShapeModel, places: Places) -> N
         )
 
 
-def test_three_photographs_tell_a_face_that_is_none_of_the_templates(
+def test_three_photographs_give_a_face_that_is_none_of_the_templates(
     model: ShapeModel, template: Template, places: Places
 ) -> None:
     person = other_person(model, 1)
@@ -82,7 +82,7 @@ def test_three_photographs_tell_a_face_that_is_none_of_the_templates(
         assert camera.fx_px == pytest.approx(FOCAL_PX, rel=0.05)
 
 
-def test_an_unknown_focal_length_is_found_within_what_the_fit_says(
+def test_an_unknown_focal_length_is_found_within_the_fits_deviation(
     model: ShapeModel, template: Template, places: Places
 ) -> None:
     person = model.vertices(np.zeros(len(model.identity)), np.zeros(6))
@@ -112,7 +112,7 @@ def test_wrong_landmarks_lose_their_weight(
     assert np.median(found.landmarks.photographs[0].used[wrong]) < 0.01
 
 
-def test_what_one_photograph_from_in_front_does_not_tell_is_depth(
+def test_what_one_photograph_from_in_front_does_not_show_is_depth(
     model: ShapeModel, template: Template, places: Places
 ) -> None:
     person = other_person(model, 4)

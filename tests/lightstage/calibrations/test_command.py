@@ -60,7 +60,7 @@ def capture(stage, desk, out, *more):
     return subprocess.run(command, capture_output=True, text=True, timeout=120)
 
 
-def test_a_forgotten_target_is_told_at_once_and_stopped_shots_go_on(taken):
+def test_a_forgotten_target_is_reported_at_once_and_stopped_shots_go_on(taken):
     stage, desk, asked, done, dark_after = taken
     assert asked.returncode == 2
     assert "Traceback" not in asked.stderr
@@ -71,7 +71,7 @@ def test_a_forgotten_target_is_told_at_once_and_stopped_shots_go_on(taken):
     last, again = asked.stderr.splitlines()[-2:]
     assert "CaptureError" in last
     assert "found stopped after 0 of 2 poses" in last
-    line = shlex.split(again.partition("Go on with: ")[2])
+    line = shlex.split(again.partition("To resume: ")[2])
     assert line[:5] == ["lightstage", "calibrate", "chart", "--resume", "--rig"]
     assert {"--out", "--leds", "--cameras"} < set(line)
     assert dark_after
@@ -194,7 +194,7 @@ def test_a_lab_is_listed_by_its_command(taken, tmp_path):
     assert "found no such folder, expected a lab's folder of calibration shots" in done.err
 
 
-def test_shots_of_two_rigs_are_told_apart():
+def test_shots_of_two_rigs_are_distinguished():
     held = [
         Entry(kind, kind, "holds", "", rig) for kind, rig in (("dark", "a" * 64), ("flat", "b"))
     ]

@@ -53,7 +53,7 @@ def test_what_is_counted_is_what_is_there(pictures):
 
 
 @pytest.mark.parametrize("kind", ["charuco", "grey", "chart", "flat"])
-def test_a_target_at_the_white_level_is_told_with_its_share(pictures, kind):
+def test_a_target_at_the_white_level_is_reported_with_its_share(pictures, kind):
     picture = pictures[kind]
     bright = dataclasses.replace(picture, clipped=picture.rgb[..., 1] > 0.2)
     figures, amiss = LOOKS[kind](bright, CONFIG)
@@ -63,7 +63,7 @@ def test_a_target_at_the_white_level_is_told_with_its_share(pictures, kind):
     assert "Lower the ISO" in amiss[0].hint
 
 
-def test_highlights_that_all_clip_are_told_and_few_are_not(pictures):
+def test_highlights_that_all_clip_are_reported_and_few_are_not(pictures):
     picture = pictures["mirror"]
     _, amiss = LOOKS["mirror"](
         dataclasses.replace(picture, clipped=picture.rgb[..., 1] > 0), CONFIG
@@ -86,14 +86,14 @@ def moved(picture: Picture, rows: int) -> Picture:
 
 
 @pytest.mark.parametrize("kind", ["mirror", "grey"])
-def test_a_ball_that_leaves_the_picture_is_told(pictures, kind):
+def test_a_ball_that_leaves_the_picture_is_reported(pictures, kind):
     picture = pictures[kind]
     height = picture.clipped.shape[0]
     codes = [each.code for each in LOOKS[kind](moved(picture, height // 2 - 10), CONFIG)[1]]
     assert "ball-cut" in codes
 
 
-def test_a_ball_that_is_too_small_to_measure_is_told(pictures):
+def test_a_ball_that_is_too_small_to_measure_is_reported(pictures):
     config = CalibrationConfig(look=LookConfig(min_ball_px=5000.0))
     for kind in ("mirror", "grey"):
         assert [each.code for each in LOOKS[kind](pictures[kind], config)[1]] == ["ball-small"]

@@ -82,7 +82,7 @@ def test_every_kind_is_taken_pose_by_pose_to_its_end(bench, begin, small_stage, 
     assert written["devices"]["leds"]["firmware"] == "leds 1.0"
 
 
-def test_a_forgotten_target_is_told_and_the_pose_taken_again_into_its_own_folder(
+def test_a_forgotten_target_is_reported_and_the_pose_taken_again_into_its_own_folder(
     bench, begin, small_stage
 ):
     photographer = TargetPhotographer(small_stage, "chart", 1)
@@ -291,7 +291,7 @@ def test_a_pose_that_never_does_stops_with_what_each_take_showed(bench, begin, s
     ) in str(error.value)
 
 
-def test_what_takes_showed_is_said_once_with_its_takes():
+def test_what_takes_showed_is_reported_once_with_its_takes():
     def board(camera, found):
         return Finding("retake", "board-corners", "pose", found, "28", "Turn it.", camera=camera)
 

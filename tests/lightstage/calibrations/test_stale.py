@@ -185,7 +185,7 @@ def test_another_rig_ends_all_and_another_led_firmware_what_shows_its_light(
     assert "LED firmware 'leds 2.0', since chart-20260301T120000Z" in finding.found
 
 
-def test_a_camera_that_was_not_there_then_is_told(bench, lab, small_stage):
+def test_a_camera_that_was_not_there_then_is_reported(bench, lab, small_stage):
     summaries = bench.summaries(small_stage)
     summaries["cam9"] = summaries["cam0"]
     findings = found(bench, lab, small_stage, told=summaries)
@@ -193,7 +193,7 @@ def test_a_camera_that_was_not_there_then_is_told(bench, lab, small_stage):
     assert "no photographs of cam9" in findings[0].found
 
 
-def test_shots_from_the_future_are_said_and_never_trusted(bench, lab, small_stage):
+def test_shots_from_the_future_are_reported_and_never_trusted(bench, lab, small_stage):
     # A minute is what clocks of one lab may differ; an hour is a clock that went backward.
     assert found(bench, lab, small_stage, now=bench.now - DAY / 1440 / 2) == []
     findings = found(bench, lab, small_stage, now=bench.now - DAY / 8)
@@ -214,7 +214,7 @@ def test_what_is_allowed_becomes_a_warning_and_is_recorded(bench, lab, small_sta
         use_calibrations(lab, small_stage, summaries, bench.leds, ("drak",), CONFIG, now)
 
 
-def test_what_was_changed_or_lost_since_is_told(bench, lab, small_stage):
+def test_what_was_changed_or_lost_since_is_reported(bench, lab, small_stage):
     (lab / "dark-20260301T120000Z" / "pose-01" / "session.json").unlink()
     (lab / "chart-20260301T120000Z" / "pose-01" / "session.json").write_text("{}")
     (lab / "charuco-20260301T120000Z" / "calibration.json").write_text("{")

@@ -54,7 +54,7 @@ def test_writes_that_take_only_a_part_are_gone_on_with(tmp_path, monkeypatch):
     assert got.size == 100
 
 
-def test_what_a_camera_gives_too_little_of_is_written_and_told(tmp_path):
+def test_what_a_camera_gives_too_little_of_is_written_and_reported(tmp_path):
     assert write_card_file(tmp_path / "x", 100, [b"half"]).size == 4
 
 
@@ -79,7 +79,7 @@ def test_a_camera_that_fails_on_the_way_leaves_no_file(tmp_path):
     ],
 )
 @pytest.mark.parametrize("call", ["open", "write", "fsync"])
-def test_a_disk_that_fails_is_told_in_plain_words_and_nothing_is_left(
+def test_a_disk_that_fails_is_reported_in_plain_words_and_nothing_is_left(
     tmp_path, monkeypatch, number, message, call
 ):
     def fail(*_args, **_more):

@@ -49,7 +49,7 @@ def test_a_download_is_what_lies_on_the_card_though_memory_goes_with_its_owner(f
         assert got.size == file.size == len(known)
 
 
-def test_a_cut_download_is_told_and_leaves_no_file(fake, tmp_path):
+def test_a_cut_download_is_reported_and_leaves_no_file(fake, tmp_path):
     fake.make_body("6001", cut=1000)
     camera = opened()
     (file,) = camera.trigger(0.0).files
@@ -69,7 +69,7 @@ def test_raw_and_jpeg_of_one_shot_come_together_raw_first(fake):
         assert names(camera.trigger(0.0)) == [f"DSC_{number:04d}.NEF", f"DSC_{number:04d}.JPG"]
 
 
-def test_a_pair_of_which_one_file_never_comes_is_told_by_what_came(fake):
+def test_a_pair_of_which_one_file_never_comes_is_reported_by_what_came(fake):
     fake.make_body("6001", settings={"imagequality": "NEF+Fine"}, shots=[["raw", "done"]])
     assert names(opened().trigger(0.0)) == ["DSC_0001.NEF"]
 
@@ -94,7 +94,7 @@ def test_a_file_of_an_earlier_shot_is_never_taken_for_this_one(fake):
     assert len(camera.card()) == 3
 
 
-def test_a_file_that_is_told_twice_counts_for_its_own_shot_only(fake):
+def test_a_file_that_is_reported_twice_counts_for_its_own_shot_only(fake):
     fake.make_body("6001", shots=[["raw", "done"], ["late DSC_0001.NEF", "raw", "done"]])
     camera = opened()
     assert names(camera.trigger(0.0)) == ["DSC_0001.NEF"]
@@ -145,7 +145,7 @@ def test_a_busy_camera_is_asked_again_and_triggers_once(fake):
     assert body["calls"].count("trigger_capture") == 3
 
 
-def test_a_camera_that_stays_busy_is_told_so(fake):
+def test_a_camera_that_stays_busy_is_reported(fake):
     fake.make_body("6001", answers={"file_get_info": [-110] * 99})
     with pytest.raises(DeviceError, match=r"error -110 .*The camera is busy"):
         opened().trigger(0.0)
@@ -168,7 +168,7 @@ def test_a_body_that_was_cut_off_before_is_greeted_twice(fake):
     assert fake.body_of("6001")["calls"].count("init") == 3
 
 
-def test_an_io_problem_that_stays_is_told(fake, tmp_path):
+def test_an_io_problem_that_stays_is_reported(fake, tmp_path):
     fake.make_body("6001", answers={"file_get": [-7, -7]})
     camera = opened()
     (file,) = camera.trigger(0.0).files

@@ -21,7 +21,7 @@ def opened():
     return camera, camera.open()
 
 
-def test_a_nikon_tells_all_but_its_place(fake):
+def test_a_nikon_reports_all_but_its_place(fake):
     fake.make_body("6001", settings={"datetime": int(time.time()) - 3600, "ownername": "Me"})
     _, summary = opened()
     assert summary.not_readable() == ["place"]
@@ -38,7 +38,7 @@ def test_a_nikon_tells_all_but_its_place(fake):
     assert summary.clock_offset_s == pytest.approx(-3600, abs=10)
 
 
-def test_a_canon_tells_the_same_under_its_own_names(fake):
+def test_a_canon_reports_the_same_under_its_own_names(fake):
     canon = {
         "eosserialnumber": "022021001234",
         "autoexposuremode": "Manual",
@@ -72,7 +72,7 @@ def test_a_setting_is_changed_and_read_back(fake):
         camera.change("place", "off")
 
 
-def test_a_camera_that_does_not_keep_a_change_is_told(fake):
+def test_a_camera_that_does_not_keep_a_change_is_reported(fake):
     fake.make_body("6001", keeps=False)
     camera, _ = opened()
     with pytest.raises(DeviceError, match=r"iso: found 100, expected 400.*set it on the camera"):
@@ -86,7 +86,7 @@ def test_the_clock_is_set_by_its_offset(fake):
     assert camera.summary().clock_offset_s == pytest.approx(0, abs=5)
 
 
-def test_pairs_are_told_by_the_maker_s_word_for_them():
+def test_pairs_are_recognised_by_the_maker_s_word_for_them():
     for text in ("NEF+Fine", "RAW + Large Fine JPEG", "RAW+JPEG"):
         assert known.files_of_a_shot(text) == 2
     for text in ("NEF (Raw)", "RAW", "JPEG Fine", None):

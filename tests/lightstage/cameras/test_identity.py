@@ -53,7 +53,7 @@ def test_missing_unknown_and_doubled_cameras_make_one_error_each(small_rig):
     assert "port c, serial: found 999" in message
 
 
-def test_what_cameras_tell_must_fit_the_rig(small_rig):
+def test_what_cameras_report_must_fit_the_rig(small_rig):
     summaries = [summary_of("600"), summary_of("700"), summary_of(None, iso=None)]
     allowed = [*BUT_NAMES, "iso"]
     message = "\n".join(map(str, summary_problems(small_rig.cameras, summaries, allowed)))
@@ -63,7 +63,7 @@ def test_what_cameras_tell_must_fit_the_rig(small_rig):
     assert summary_problems(small_rig.cameras[:1], [summary_of("600")], BUT_NAMES) == []
 
 
-def test_who_a_camera_is_must_be_told_or_allowed_by_name(small_rig):
+def test_who_a_camera_is_must_be_reported_or_allowed_by_name(small_rig):
     allowed = [*BUT_NAMES, "iso"]
     unknown = [Summary(serial=None, model=None)]
     (problem,) = summary_problems(small_rig.cameras[:1], unknown, allowed)
@@ -79,13 +79,13 @@ def test_one_serial_for_several_cameras_is_an_error(small_rig):
     assert "camera cam1, serial: found 600, expected 601 (rig.json). That one is cam0" in message
 
 
-def test_two_cameras_in_each_others_place_are_told_as_swapped_and_only_so(small_rig):
+def test_two_cameras_in_each_others_place_are_reported_as_swapped_and_only_so(small_rig):
     (text,) = problems_of(small_rig, ["602", "601", "600"])
     assert "cameras cam0, cam2, serial: found swapped: cam2 is in the place of cam0" in text
     assert "Exchange their ports in the cameras file" in text
 
 
-def test_three_cameras_changed_round_are_told_as_one(small_rig):
+def test_three_cameras_changed_round_are_reported_as_one(small_rig):
     (text,) = problems_of(small_rig, ["601", "602", "600"])
     assert "changed round: cam1 is in the place of cam0, cam2 is in the place of cam1" in text
 
@@ -117,7 +117,7 @@ def _rig():
     return Cameras(tuple(Named(f"cam{i}", f"60{i}") for i in range(3)))
 
 
-def test_unknown_and_doubled_entries_of_the_cameras_file_are_all_told(small_rig, tmp_path):
+def test_unknown_and_doubled_entries_of_the_cameras_file_are_all_reported(small_rig, tmp_path):
     entry = CameraEntry(PORT, tmp_path)
     file = CamerasFile(cameras={"cam0": entry, "cam1": entry, "cam9": CameraEntry("usb:001,002")})
     message = "\n".join(map(str, binding_problems(small_rig, file)))

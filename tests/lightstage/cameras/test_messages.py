@@ -31,7 +31,7 @@ def test_messages_survive_their_stream_and_a_cut_one_is_none(sent, cut):
 
 
 @given(st.binary(min_size=8, max_size=64).filter(lambda data: not data.startswith(b"cam2")))
-def test_what_is_no_message_is_told(data):
+def test_what_is_no_message_is_reported(data):
     with pytest.raises(ValueError, match="no message"):
         messages.read(io.BytesIO(data).read)
 

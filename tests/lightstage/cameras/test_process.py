@@ -89,7 +89,7 @@ def test_what_a_driver_started_ends_with_it(camera, gone):
     gone(started)
 
 
-def test_a_driver_that_fails_is_told_by_its_last_words_and_can_be_restarted(camera):
+def test_a_driver_that_fails_is_reported_by_its_last_words_and_can_be_restarted(camera):
     one = camera("Crashing")
     with pytest.raises(DeviceError, match="exit status 1, RuntimeError: a fault in the driver"):
         one.trigger(0.0)
@@ -142,7 +142,7 @@ def test_a_deadline_is_a_finite_time_over_zero_or_refused(value, name):
             Deadlines(**{name: value})
 
 
-def test_a_computer_that_can_start_no_process_is_told(camera, monkeypatch):
+def test_a_computer_that_can_start_no_process_is_reported(camera, monkeypatch):
     one = camera()
 
     def none_left(*_args, **_more):
@@ -232,7 +232,7 @@ def test_a_restart_that_searches_ends_when_the_camera_is_closed(camera):
         ),
     ],
 )
-def test_a_driver_that_is_not_there_is_told_with_the_cameras_name(processes, driver, message):
+def test_a_driver_that_is_not_there_is_reported_with_the_cameras_name(processes, driver, message):
     one = CameraProcess("cam4", "somewhere", None, 20.0, driver)
     processes.append(one)
     with pytest.raises(DeviceError, match=r"camera cam4 \(somewhere\), " + message):

@@ -51,7 +51,7 @@ def test_cameras_whose_cables_were_exchanged_are_both_found(two, fake):
     assert [camera.port for camera in two] == [B, A]
 
 
-def test_a_stranger_at_its_port_is_let_go_again_and_told(two, fake):
+def test_a_stranger_at_its_port_is_let_go_again_and_reported(two, fake):
     fake.make_body("7777")
     fake.plug({A: "7777", B: "6002"})
     two[0].deadlines = Deadlines(absent_s=60.0)

@@ -53,7 +53,7 @@ def test_every_camera_gives_exactly_its_own_bytes_shot_after_shot(cameras, virtu
         assert take_all(cameras, tmp_path / "out") == seen
 
 
-def test_it_says_what_it_can_and_what_it_cannot(cameras):
+def test_it_states_what_it_can_and_what_it_cannot(cameras):
     summary = cameras[0].open()
     assert (summary.model, summary.firmware) == ("Nikon DSC D750", "2.5.11")
     assert (summary.shutter, summary.aperture) == ("0.0100s", "f/2.8")
@@ -90,7 +90,7 @@ def test_its_card_shows_what_was_taken_until_it_is_deleted_or_its_process_ends(c
     assert camera.trigger(0.0).files[0] == first
 
 
-def test_a_camera_that_fails_says_so_and_works_again(cameras, virtual, tmp_path):
+def test_a_camera_that_fails_reports_it_and_works_again(cameras, virtual, tmp_path):
     camera = cameras[0]
     camera.open()
     seed = virtual.seed(camera)
@@ -156,7 +156,7 @@ except DeviceError as error:
 """
 
 
-def test_a_camera_that_captures_in_one_call_says_that_its_memory_is_full(virtual):
+def test_a_camera_that_captures_in_one_call_reports_that_its_memory_is_full(virtual):
     folder = virtual.folder("cam0", b"picture" * 1000)
     done = subprocess.run(
         [sys.executable, "-c", FULL, str(folder)], capture_output=True, text=True, timeout=60
@@ -174,7 +174,7 @@ def test_a_photograph_is_never_written_over_another_file(cameras, tmp_path):
     assert (tmp_path / "there").read_bytes() == b"another photograph"
 
 
-def test_no_camera_at_the_port_and_no_folder_are_told_apart(virtual, processes, tmp_path):
+def test_no_camera_at_the_port_and_no_folder_are_distinguished(virtual, processes, tmp_path):
     folder = virtual.folder("cam0", b"seed")
     processes.append(CameraProcess("cam0", "usb:009,009", folder, 20.0))
     with pytest.raises(DeviceError, match="expected a camera at this port"):
@@ -189,7 +189,7 @@ def test_connected_cameras_are_listed_by_a_process_of_its_own(virtual, monkeypat
     assert detect_ports(20.0) == [("Nikon DSC D750", PORT)]
 
 
-def test_a_camera_that_cannot_tell_its_serial_is_not_bound_by_it(virtual, monkeypatch, small_rig):
+def test_a_camera_that_cannot_state_its_serial_is_not_bound_by_it(virtual, monkeypatch, small_rig):
     monkeypatch.setenv("VCAMERADIR", str(virtual.folder("cam0", b"seed")))
     with pytest.raises(DeviceError) as caught:
         find_cameras(small_rig, CamerasFile(), 20.0, detect_ports)

@@ -197,7 +197,7 @@ class ScriptedOperator:
             return self.answers.pop(0)
         return "retake" if retakes_left > 0 else "abort"
 
-    def told(self, line) -> None:
+    def receive(self, line) -> None:
         pass
 
 

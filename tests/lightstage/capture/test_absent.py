@@ -7,7 +7,7 @@ import pytest
 from lightstage.errors import DeviceError, StoppedError
 
 
-def test_a_camera_that_is_gone_is_told_by_its_first_failure_and_nobody_is_lit_for_it(bench):
+def test_a_camera_that_is_gone_is_reported_by_its_first_failure_and_nobody_is_lit_for_it(bench):
     camera = bench.cameras[1]
     camera.faults[2] = "after"
     bench.operator.answers = ["retake"]

@@ -97,7 +97,7 @@ def test_a_signal_ends_dark_with_whole_files_however_often_it_comes(stage, tmp_p
     assert "Traceback" not in printed
     assert printed.count("STOPPING") == 1
     assert json.loads((out / "journal.jsonl").read_text().splitlines()[-1])["event"] == "aborted"
-    assert "Stopped by the operator.\n  Go on with: lightstage capture --resume --out" in printed
+    assert "Stopped by the operator.\n  To resume: lightstage capture --resume --out" in printed
     assert "Error" not in printed
     assert stage.device.dark
     assert not (out / "session.json").exists()
@@ -131,7 +131,7 @@ def test_a_camera_whose_picture_is_gone_is_named_and_the_others_are_kept(stage, 
     assert not (out / "session.json").exists()
 
 
-def test_lights_on_a_splitting_plane_are_told_and_lit_by_half(stage, tmp_path):
+def test_lights_on_a_splitting_plane_are_reported_and_lit_by_half(stage, tmp_path):
     rig = stage.rig
     moved = dataclasses.replace(rig.lights[3], position_mm=(0.0, 700.0, 700.0))
     rig = Rig((*rig.lights[:3], moved, *rig.lights[4:]), rig.cameras)
@@ -154,7 +154,7 @@ def test_a_device_that_falls_silent_ends_the_capture(stage, tmp_path):
     one_clear_message(done, "no answer to 5 HELLO?", "The lights may still be on")
 
 
-def test_cameras_that_are_missing_unknown_or_mute_are_all_told_before_a_light_goes_on(
+def test_cameras_that_are_missing_unknown_or_mute_are_all_reported_before_a_light_goes_on(
     stage, tmp_path
 ):
     text = stage.cameras_path.read_text().replace('"iso", ', "")

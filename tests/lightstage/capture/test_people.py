@@ -37,7 +37,7 @@ def modes(root):
     return folders, files
 
 
-def test_a_capture_without_consent_says_so_wherever_it_is_looked_for(stage, tmp_path):
+def test_a_capture_without_consent_reports_it_wherever_it_is_looked_for(stage, tmp_path):
     out = tmp_path / "S"
     done = run(stage, out, "--sequence", "full", "--json")
     assert done.returncode == 0, done.stderr
@@ -57,7 +57,7 @@ def test_a_capture_without_consent_says_so_wherever_it_is_looked_for(stage, tmp_
     assert (manifest["consent"], manifest["warnings"]["no-consent"]) == (None, 1)
 
 
-def test_the_last_line_says_what_was_warned_of(stage, tmp_path):
+def test_the_last_line_states_what_was_warned_of(stage, tmp_path):
     done = run(stage, tmp_path / "S", "--sequence", "full")
     assert done.returncode == 0, done.stderr
     lines = [json.loads(line) for line in (tmp_path / "S/journal.jsonl").read_text().splitlines()]

@@ -429,7 +429,7 @@ def test_a_full_disk_ends_the_capture_and_the_other_photographs_are_kept(bench):
 @pytest.mark.parametrize(
     ("name", "message"), [("owner", "The field is cleared"), ("iso", "The setting is set back")]
 )
-def test_a_setting_that_either_answer_mends_says_so(bench, name, message):
+def test_a_setting_that_either_answer_mends_reports_it(bench, name, message):
     camera = bench.cameras[1]
     changed = dataclasses.replace(camera.open(), **{name: "800"})
     camera.summary = lambda: camera.open() if "retake" in bench.log else changed
@@ -497,7 +497,7 @@ def test_a_camera_without_an_exposure_is_waited_for_as_long_as_the_slowest_other
     assert times.usual_s(["cam2"]) == times.usual_s(["cam0", "cam1"]) == 4.0
 
 
-def test_of_cameras_that_tell_no_shutter_time_the_first_exposure_is_waited_for():
+def test_of_cameras_that_report_no_shutter_time_the_first_exposure_is_waited_for():
     times = ExposureTimes(["Bulb", None])
     assert times.usual_s(["cam0"]) is None
     times.note("cam0", 0.5)

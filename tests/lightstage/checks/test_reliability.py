@@ -31,7 +31,7 @@ def even(level, rng, shape=(48, 32)):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("shape", [(48, 32), (96, 64), (240, 160)])
-def test_even_pictures_of_nothing_but_noise_tell_no_motion_and_no_blur(stage, seed, shape):
+def test_even_pictures_of_nothing_but_noise_show_no_motion_and_no_blur(stage, seed, shape):
     rng = np.random.default_rng(seed)
     checks = ShotChecks(stage.rig, [Shot(p, pattern_levels(p, stage.rig)) for p in BINARY])
     codes = set()
@@ -61,7 +61,7 @@ def test_noise_of_a_tiny_picture_is_not_underestimated():
         assert line[0] + line[1] * 0.5 == pytest.approx(3e-4, rel=0.3)
 
 
-def test_a_small_picture_tells_nothing_about_focus(stage):
+def test_a_small_picture_shows_nothing_about_focus(stage):
     light = stage.see("cam1", "full")[100:140, 60:100]
     soft = defocus(light, np.full(light.shape[:2], 3.0))
     assert sharpness(stage.expose("cam1", soft), stage.expose("cam1", light)) is None

@@ -138,7 +138,7 @@ def test_an_encoding_that_the_bytes_contradict_is_found(session):
         check_session(session)
 
 
-def test_an_interrupted_capture_is_told_from_no_session(session, tmp_path):
+def test_an_interrupted_capture_is_distinguished_from_no_session(session, tmp_path):
     (session / "session.json").unlink()
     with pytest.raises(FormatError, match="interrupted: lightstage capture --resume"):
         check_session(session)
@@ -162,7 +162,7 @@ def checked(root):
         ),
     ],
 )
-def test_check_says_what_the_files_that_a_session_has_do_not_prove(session, lacks, notes):
+def test_check_states_what_the_files_that_a_session_has_do_not_prove(session, lacks, notes):
     write_manifest(session)
     for name in lacks:
         (session / name).unlink()

@@ -44,7 +44,7 @@ def test_a_good_session_of_any_skin_has_no_findings(stages, person, patterns):
     assert codes_found(stages[person], patterns) == []
 
 
-def test_polarised_photographs_pass_and_swapped_banks_are_told(stage):
+def test_polarised_photographs_pass_and_swapped_banks_are_reported(stage):
     assert not named(codes_found(stage, POLARISED), "bank-swapped")
 
     def swapped(camera, pattern):
@@ -56,7 +56,7 @@ def test_polarised_photographs_pass_and_swapped_banks_are_told(stage):
     assert named(found, "bank-swapped") == {("full@cross", None), ("x+@cross", None)}
 
 
-def test_an_old_picture_is_told_at_once_and_one_of_another_shot_by_its_light(stage):
+def test_an_old_picture_is_reported_at_once_and_one_of_another_shot_by_its_light(stage):
     stale = stage.photo("cam1", "x+")
     checks = stage.checks(BINARY)
     checks.add("x+", "cam1", stale)
@@ -100,7 +100,7 @@ def test_a_pattern_that_was_lit_too_weakly_is_the_light(stage):
     assert named(codes_found(stage, make=weak), "light-level") == {("y+", None)}
 
 
-def test_a_hidden_lamp_that_stays_on_is_told_from_the_room(stage):
+def test_a_hidden_lamp_that_stays_on_is_distinguished_from_the_room(stage):
     number = max(
         (int(name.split("-")[1]) for name in stage.lamps),
         key=lambda k: stage.rig.positions_mm[k, 2],
@@ -126,7 +126,7 @@ def test_a_hidden_lamp_that_stays_on_is_told_from_the_room(stage):
     assert {f.code for f in codes_found(stage, make=lit_room)} == {"ambient"}
 
 
-def test_a_blurred_photograph_is_told_and_another_light_is_no_blur(stage):
+def test_a_blurred_photograph_is_reported_and_another_light_is_no_blur(stage):
     light = stage.see("cam1", "y+")
     soft = stage.expose("cam1", defocus(light, np.full(light.shape[:2], 3.0)))
     found = codes_found(stage, make=only("cam1", "y+", soft))
@@ -135,7 +135,7 @@ def test_a_blurred_photograph_is_told_and_another_light_is_no_blur(stage):
 
 
 @pytest.mark.parametrize(("code", "who"), [("motion", None), ("camera-moved", "cam1")])
-def test_motion_is_told_in_millimetres_and_pixels(stage, code, who):
+def test_motion_is_reported_in_millimetres_and_pixels(stage, code, who):
     def moved(camera, pattern):
         if pattern != "z-" or who not in (None, camera):
             return None
@@ -149,7 +149,7 @@ def test_motion_is_told_in_millimetres_and_pixels(stage, code, who):
     assert all("px" in f.found for f in found if f.code == code)
 
 
-def test_over_and_underexposure_are_told_by_camera(stage):
+def test_over_and_underexposure_are_reported_by_camera(stage):
     def bright(camera, pattern):
         return stage.expose(camera, stage.see(camera, pattern), 3.0) if camera == "cam0" else None
 

@@ -81,7 +81,7 @@ def test_another_picture_is_a_misfit_and_no_gain_explains_it():
     assert good.misfit < 1e-6 < 0.03 < bad.misfit
 
 
-def test_light_without_a_lamp_is_told_as_a_share_and_known_dark_is_taken_off():
+def test_light_without_a_lamp_is_reported_as_a_share_and_known_dark_is_taken_off():
     a, b = blob(1), blob(2)
     room = 0.03 * (a + b)
     fit = fit_sum(photo(a + room), photo(b + room), photo(a + b + room))

@@ -62,7 +62,7 @@ def test_a_token_in_a_referer_or_a_cookie_opens_nothing(site) -> None:
     assert stranger.get("/plan", Authorization=f"Bearer {site.token}").status == 401
 
 
-def test_a_page_from_yesterday_is_told_what_to_do(site) -> None:
+def test_a_page_from_yesterday_shows_what_to_do(site) -> None:
     late = Visitor(site.port)
     late.cookie = f"lightstage-{site.port}={secrets.token_urlsafe(32)}"
     answer = late.ask("POST", "/start", {"Origin": late.origin}, "csrf=old")

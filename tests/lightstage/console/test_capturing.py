@@ -13,15 +13,19 @@ import pytest
 
 from lightstage.checks import check_session
 from lightstage.console.runner import Runner
+from sim.browser import Browser, chromium
 from sim.devices.faults import Fault
 from sim.devices.processes import descendants
-from tests.browser import Browser
 from tests.lightstage.console.conftest import (
     Visitor,
     events_of,
     served,
     together,
     wait_until,
+)
+
+needs_chromium = pytest.mark.skipif(
+    chromium() is None, reason="no Chromium: install Debian's package chromium"
 )
 
 
@@ -108,12 +112,12 @@ def test_a_question_waits_dark_for_the_page(staged, plan) -> None:
         visitor.post("/start")
         root = site.desk.folder / "P1+neutral"
         wait_until(lambda: events_of(root, "asked"), "a question")
-        visitor.shows("/session/P1+neutral/part", "take it again", "WAITING FOR YOU")
+        visitor.shows("/session/P1+neutral/part", "retake it", "WAITING FOR YOU")
         assert stage.device.dark
         devices = visitor.get("/devices/part").text
         assert "news warning" not in devices  # nothing is near its budget
         assert re.search(
-            r"at [0-9]+ % of full power's warmth at most \(90 % are allowed\).* "
+            r"at [0-9]+ % of full power's heat at most \(90 % are allowed\).* "
             r"[0-9]+ s at full level \(600 s are allowed\)",
             devices,
         ), devices
@@ -147,7 +151,7 @@ def test_a_stop_before_the_first_light_is_a_stop(staged, plan) -> None:
         assert not events_of(site.desk.folder / "P1+neutral", "end")
 
 
-def test_a_capture_that_cannot_start_says_why(staged, plan) -> None:
+def test_a_capture_that_cannot_start_gives_the_reason(staged, plan) -> None:
     _, options = staged()
     options.rig.write_text("{}")
     with served(plan, options) as site:
@@ -218,6 +222,7 @@ def test_a_server_that_is_killed_changes_nothing_of_a_capture(staged, plan) -> N
         process.wait()
 
 
+@needs_chromium
 def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
     held = []
 
@@ -240,7 +245,9 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         # In a pause r takes again the pattern that was shown, and says which.
         shown = browser.js("document.querySelector('[data-key=r]').innerText.split(' ')[1]")
         browser.press("r")
-        browser.wait(f"document.getElementById('said').innerText.includes('{shown} will be taken')")
+        browser.wait(
+            f"document.getElementById('message').innerText.includes('{shown} will be retaken')"
+        )
         browser.press("c")
         browser.wait('document.body.innerText.includes("COMPLETE")')
         taken = [each["pattern"] for each in events_of(site.desk.folder / "P1+neutral", "lit")]
@@ -269,13 +276,17 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.press("q")
         browser.wait('document.body.innerText.includes("STOPPED")')
         assert stage.device.dark
-        # g goes on with it; s, beside it on the keyboard, only says so.
+        # g resumes it; s, beside it on the keyboard, only reports that.
         browser.wait("document.querySelector('button[data-key=g]')")
-        assert "Press g to resume it" in browser.js("document.body.innerText")
+        assert "Press g on the session's page to resume it." in browser.js(
+            "document.body.innerText"
+        )
         assert "lightstage capture" not in browser.js("document.body.innerText")
         wait_until(lambda: not site.desk.running(), "an idle stage")
         browser.press("s")
-        browser.wait("document.getElementById('said').innerText.includes('Press g to go on')")
+        browser.wait(
+            "document.getElementById('message').innerText.includes('Press g to resume it, or')"
+        )
         assert browser.js("location.pathname").startswith("/session/P1%2Bsmile")
         assert not site.desk.running()
         for key, path in (("1", "/plan"), ("3", "/devices"), ("4", "/sessions")):
@@ -287,7 +298,9 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.press("1")
         browser.wait("location.pathname === '/plan' && document.querySelector('[data-key=g]')")
         browser.press("s")
-        browser.wait("document.getElementById('said').innerText.includes('press g to go on')")
+        browser.wait(
+            "document.getElementById('message').innerText.includes('press g to resume it')"
+        )
         browser.press("g")
         browser.wait('document.body.innerText.includes("COMPLETE")')
         assert "Stopped by the operator" not in browser.js(
@@ -309,7 +322,8 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         assert browser.js("document.body.classList.contains('old')")
 
 
-def test_a_question_shows_its_photograph_and_says_that_the_camera_is_set_back(
+@needs_chromium
+def test_a_question_shows_its_photograph_and_reports_that_the_camera_is_set_back(
     staged, plan, tmp_path
 ) -> None:
     fault = Fault("wrong-iso", camera="cam1", at=2, value="400")

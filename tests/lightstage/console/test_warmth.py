@@ -26,11 +26,11 @@ def line(seconds: float, event: str, **fields: object) -> dict[str, object]:
 
 def test_lights_warm_while_they_are_lit_and_cool_in_the_dark() -> None:
     warmth = Warmth()
-    warmth.told(line(0, "begin", config={"safety": SAFETY}), False)
+    warmth.receive(line(0, "begin", config={"safety": SAFETY}), False)
     assert warmth.budget(at(1)) is None
-    warmth.told(line(5, "lit", levels=[1.0, 0.25, 0.0]), True)
-    warmth.told(line(10, "trigger"), True)
-    warmth.told(line(35, "asked"), False)
+    warmth.receive(line(5, "lit", levels=[1.0, 0.25, 0.0]), True)
+    warmth.receive(line(10, "trigger"), True)
+    warmth.receive(line(35, "asked"), False)
     lit = 1 - math.exp(-30 / 60)
     spent = warmth.budget(at(35))
     assert spent is not None
@@ -43,14 +43,14 @@ def test_lights_warm_while_they_are_lit_and_cool_in_the_dark() -> None:
     assert cooler.on_s == pytest.approx(30.0)
 
 
-def test_a_limit_that_is_near_is_said_and_another_capture_begins_cold() -> None:
+def test_a_limit_that_is_near_is_reported_and_another_capture_begins_cold() -> None:
     warmth = Warmth()
-    warmth.told(line(0, "begin", config={"safety": SAFETY}), False)
-    warmth.told(line(0, "lit", levels=[1.0]), True)
+    warmth.receive(line(0, "begin", config={"safety": SAFETY}), False)
+    warmth.receive(line(0, "lit", levels=[1.0]), True)
     near = warmth.budget(at(32))
     assert near is not None
     assert near.near
-    warmth.told(line(40, "resume"), False)
+    warmth.receive(line(40, "resume"), False)
     assert warmth.budget(at(41)) is None
 
 
@@ -76,6 +76,6 @@ def test_whatever_a_journal_holds_the_figures_are_finite_or_none(lines) -> None:
     warmth = Warmth()
     for event, when, levels, config, lit in lines:
         told = {"event": event, "time_utc": when, "levels": levels, "config": config}
-        warmth.told(told, lit)
+        warmth.receive(told, lit)
         spent = warmth.budget(at(10))
         assert spent is None or (np.isfinite(spent[:4]).all() and 0 <= spent.heat <= 1)

@@ -73,7 +73,7 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, parts: list[str]) -> 
         assert part in stated
 
 
-def test_all_that_is_wrong_is_told_at_once(tmp_path: Path) -> None:
+def test_all_that_is_wrong_is_reported_at_once(tmp_path: Path) -> None:
     text = HEAD + '[[subjects]]\nsubject = "A B"\n[[subjects]]\nsubject = "P2"\nexpressions = 3\n'
     assert "4 problems" in refusal(tmp_path, text)
 
@@ -157,7 +157,7 @@ def test_a_plan_that_could_not_be_read_again_is_not_written(tmp_path: Path) -> N
         (["--out", "S", "--attended", "--unattended"], "one of the two"),
     ],
 )
-def test_capture_says_what_does_not_go_with_a_plan(tmp_path, run_command, words, part) -> None:
+def test_capture_states_what_does_not_go_with_a_plan(tmp_path, run_command, words, part) -> None:
     plan = tmp_path / "plan.toml"
     plan.write_text(HEAD + P07)
     given = [{"PLAN": str(plan), "S": str(tmp_path / "S")}.get(word, word) for word in words]

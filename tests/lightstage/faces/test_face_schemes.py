@@ -76,7 +76,7 @@ def test_weights_are_the_plain_minimum_of_their_cost(scale, seed):
         assert cost(weights[near] + 1e-3 * other) >= least - 1e-9 * (1 + least)
 
 
-def test_landmarks_without_points_near_them_are_not_told():
+def test_landmarks_without_points_near_them_are_not_reported():
     nothing = np.full((468, 3), np.nan)
     assert not landmark_weights(nothing, np.zeros((2, 3))).any()
     far = np.tile([500.0, 0, 0], (468, 1))

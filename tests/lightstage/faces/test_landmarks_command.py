@@ -75,7 +75,7 @@ def test_grey_deep_and_transparent_photographs_show_the_same_face(photos, tmp_pa
         assert np.nanmean(np.abs(points[other] - points["one"])) < 1.5
 
 
-def test_of_two_faces_the_largest_is_taken_and_said(photos, tmp_path, run_command):
+def test_of_two_faces_the_largest_is_taken_and_reported(photos, tmp_path, run_command):
     found = {}
     for number in (1, 2):
         out = tmp_path / f"{number}.json"

@@ -50,7 +50,7 @@ def test_a_frame_has_these_bytes_on_the_line():
     os.close(host)
 
 
-def test_a_strip_that_says_nothing_when_opened_is_used_all_the_same():
+def test_a_strip_that_is_silent_when_opened_is_used_all_the_same():
     device, host = pty.openpty()
     tty.setraw(host)
     with open_leds(f"adalight://{os.ttyname(host)}?timeout_s=0.05&attempts=1", 2) as leds:
@@ -66,7 +66,7 @@ def test_a_strip_that_says_nothing_when_opened_is_used_all_the_same():
     st.sampled_from(["rgb", "grb", "bgr"]),
     st.sampled_from([0.5, 1.0, 2.2]),
 )
-def test_what_is_said_to_be_driven_is_what_the_strongest_primary_is_sent(
+def test_what_is_reported_to_be_driven_is_what_the_strongest_primary_is_sent(
     levels, colour, order, gamma
 ):
     tint = Tint(colour, order, gamma)

@@ -88,7 +88,7 @@ def test_a_malformed_url_is_refused(url, message):
         parse_url(url)
 
 
-def test_all_faults_of_a_url_are_told_at_once():
+def test_all_faults_of_a_url_are_reported_at_once():
     with pytest.raises(ConfigError, match=r"(?s)3 problems.*speed.*attempts.*gamma"):
         parse_url("adalight:///dev/x?speed=1&attempts=0&gamma=many")
 

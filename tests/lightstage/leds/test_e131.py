@@ -123,7 +123,7 @@ def test_lights_fill_universes_whole_and_in_order(channels, bits):
     assert (device.lost, device.dropped, device.strangers, device.malformed) == (0, 0, 0, 0)
 
 
-def test_gamma_is_undone_in_what_is_said_to_be_driven():
+def test_gamma_is_undone_in_what_is_reported_to_be_driven():
     with SacnDevice(3, lambda _: None) as device, open_leds(device.url("gamma=2"), 3) as leds:
         driven = leds.light(np.array([0.0, 0.25, 1.0]))
         until(lambda: len(device.states) > 1)
@@ -150,7 +150,7 @@ def test_a_source_that_falls_silent_is_lost_and_its_lights_go_out():
         until(lambda: not device.dark)
 
 
-def test_the_stream_of_every_universe_ends_with_three_packets_that_say_so():
+def test_the_stream_of_every_universe_ends_with_three_packets_that_mark_the_end():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         receiver.settimeout(20)

@@ -162,7 +162,7 @@ def test_any_hello_is_read_or_refused(payload):
 
 
 @given(st.binary(max_size=40))
-def test_any_refusal_can_be_told(payload):
+def test_any_refusal_can_be_reported(payload):
     assert wire.parse_refused(payload)
 
 

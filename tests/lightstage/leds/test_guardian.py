@@ -261,7 +261,7 @@ def test_a_will_by_a_connection_of_its_own_is_sent_until_it_is_the_last_word():
     ours.close()
 
 
-def test_a_will_that_nobody_takes_is_given_up_and_told():
+def test_a_will_that_nobody_takes_is_given_up_and_reported():
     ours, device = socket.socketpair()
     with socket.create_server(("127.0.0.1", 0)) as listener:
         place = listener.getsockname()

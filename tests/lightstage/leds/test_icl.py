@@ -50,7 +50,7 @@ def test_what_is_driven_is_what_shines_and_the_end_is_manual_and_black():
         with open_leds(server.url(QUICK), 168) as leds:
             assert not leds.acknowledged
             assert leds.hello.light_count == 168
-            assert leds.hello.firmware == "lsserver, 12 x 14, white (does not tell what is lit)"
+            assert leds.hello.firmware == "lsserver, 12 x 14, white (does not report what is lit)"
             assert server.stage.mode == "Demo"  # a look changes nothing
             levels = np.random.default_rng(1).random(168)
             driven = leds.light(levels)
@@ -121,7 +121,7 @@ def test_one_wrong_late_or_lost_answer_is_asked_again(name, fields):
         (Fault("reset", at=2, seconds=0.2), "Did the server end"),
     ],
 )  # fmt: skip
-def test_a_server_that_stays_wrong_is_told_and_the_light_is_lost(fault, said):
+def test_a_server_that_stays_wrong_is_reported_and_the_light_is_lost(fault, said):
     with far_end(fault) as server, open_leds(server.url(QUICK), 168) as leds:
         with pytest.raises(LightLostError, match=said):
             leds.light(np.ones(168))
@@ -195,7 +195,7 @@ def test_dark_does_not_wait_for_another_threads_answer():
         assert "given up after another thread put the lights out" in lost[0]
 
 
-def test_another_programs_mode_is_told_and_the_light_is_lost():
+def test_another_programs_mode_is_reported_and_the_light_is_lost():
     with far_end() as server, open_leds(server.url(QUICK), 168) as leds:
         leds.light(np.ones(168))
         with open_socket(server) as other:
@@ -242,7 +242,7 @@ def test_a_wrong_count_or_level_sends_nothing(wrong):
 # Servers that are none, or not quite.
 
 
-def test_a_wrong_path_is_told():
+def test_a_wrong_path_is_reported():
     with far_end() as server:
         url = server.url(QUICK).replace("/ws?", "/stage?")
         with pytest.raises(
@@ -251,7 +251,7 @@ def test_a_wrong_path_is_told():
             open_leds(url, 168)
 
 
-def test_a_host_or_port_that_is_not_there_is_told():
+def test_a_host_or_port_that_is_not_there_is_reported():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     with pytest.raises(DeviceError, match="refused, expected a port that opens"):
@@ -273,7 +273,7 @@ class Page(http.server.BaseHTTPRequestHandler):
         pass
 
 
-def test_a_server_of_pages_is_told():
+def test_a_server_of_pages_is_reported():
     with http.server.HTTPServer(("127.0.0.1", 0), Page) as pages:
         threading.Thread(target=pages.serve_forever, daemon=True).start()
         url = f"ws://127.0.0.1:{pages.server_port}/ws?{QUICK}"
@@ -290,7 +290,7 @@ def test_a_server_of_pages_is_told():
         (None, "found a connection, and no answer in 0.3 s"),
     ],
 )
-def test_a_server_that_is_no_http_is_told(says, said):
+def test_a_server_that_is_no_http_is_reported(says, said):
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
         def serve():
@@ -353,12 +353,12 @@ def as_lsserver(response):
         ),
     ],
 )  # fmt: skip
-def test_a_websocket_server_that_is_not_lsserver_is_told(answer, said):
+def test_a_websocket_server_that_is_not_lsserver_is_reported(answer, said):
     with other_server(answer) as url, pytest.raises(DeviceError, match=said):
         open_leds(url, 168)
 
 
-def test_what_the_server_refuses_is_told_in_its_words():
+def test_what_the_server_refuses_is_reported_in_its_words():
     error = {"Error": {"code": "CommandFailed", "message": "no power supply"}}
 
     def answer(data):

@@ -46,7 +46,7 @@ def test_one_command_sets_every_fixture_in_both_groups():
         ({"Response": {}, "Event": {}}, "a map of Response, Event"),
     ],
 )
-def test_a_message_that_is_none_of_lsservers_is_told_in_words(message, expected):
+def test_a_message_that_is_none_of_lsservers_is_reported_in_words(message, expected):
     with pytest.raises(lsserver.LsserverError, match=expected):
         lsserver.read_message(cbor2.dumps(message))
 

@@ -141,7 +141,7 @@ def test_a_device_that_serves_another_machine_turns_this_one_away_until_it_is_fr
                 open_leds(url(device), 8)
 
 
-def test_nobody_at_the_other_end_is_told():
+def test_nobody_at_the_other_end_is_reported():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     with pytest.raises(DeviceError, match="refused, expected a port that opens"):

@@ -109,7 +109,7 @@ def test_hello_and_refused_payloads_are_read():
     assert wire.parse_refused(b"") == "0"
 
 
-def test_a_hello_tells_its_watchdog_and_pulses_behind_the_firmware_and_older_ones_do_not():
+def test_a_hello_states_its_watchdog_and_pulses_behind_the_firmware_and_older_ones_do_not():
     head = struct.pack("<IH", 9, 168)
     assert wire.parse_hello(head + b"v1").watchdog_s is None
     stated = wire.parse_hello(head + b"v1\0watchdog_ms=2000\0pulse_hz=25000\0colour=blue\0odd")

@@ -178,7 +178,7 @@ def test_a_state_that_changed_since_is_an_error():
             leds.confirm()
 
 
-def test_a_refusal_is_told_with_its_reason():
+def test_a_refusal_is_reported_with_its_reason():
     turns = ((set_(6, 1, 2), packet(0x2F, 6, b"\x02I have 3")),)
     with (
         talking(*turns) as leds,
@@ -193,7 +193,7 @@ def test_a_device_that_was_reset_is_an_error():
         leds.light(np.array([1, 2, 3]) / 65535)
 
 
-def test_a_device_that_never_answers_is_an_error_that_says_how_often_it_was_asked():
+def test_a_device_that_never_answers_is_an_error_that_states_how_often_it_was_asked():
     request = packet(0x11, 6)
     turns = ((request, b""), (request, b""), (request, b""))
     with (

@@ -45,7 +45,7 @@ def test_the_rule_comes_from_a_file_and_a_wrong_one_is_refused():
         make_config(OperatorConfig, {"then": "shrug"}, "x.toml")
 
 
-def test_an_abort_darkens_the_lights_before_anybody_who_waits_is_told():
+def test_an_abort_darkens_the_lights_before_anybody_who_waits_is_answered():
     requests, order = Requests(), []
     requests.at_abort(lambda: order.append("dark"))
 
@@ -103,7 +103,7 @@ def test_who_comes_after_the_abort_acts_at_once():
 def test_what_makes_no_sense_is_refused_with_the_reason(lines, asked, do, why):
     requests = Requests()
     for event in lines:
-        requests.told({"event": event})
+        requests.receive({"event": event})
     for each in asked:
         assert requests.request(each) is None
     assert why in requests.request(do)
@@ -111,7 +111,7 @@ def test_what_makes_no_sense_is_refused_with_the_reason(lines, asked, do, why):
 
 def test_wishes_come_in_their_order():
     requests = Requests()
-    requests.told({"event": "shot"})
+    requests.receive({"event": "shot"})
     for do in ("retake", "pause"):
         assert requests.request(do) is None
     assert [requests.command() for _ in range(3)] == [Wish("retake"), Wish("pause"), None]
@@ -125,13 +125,13 @@ def test_wishes_come_in_their_order():
 def test_a_retake_is_of_the_pattern_that_is_named_or_was_shown_last():
     requests = Requests()
     for event, pattern in (("lit", "full"), ("shot", "full"), ("lit", "x+")):
-        requests.told({"event": event, "pattern": pattern})
+        requests.receive({"event": event, "pattern": pattern})
     assert requests.request("retake", "full") is None
     assert requests.request("retake", "full") == "it is asked for already"
     assert requests.request("retake") is None
     assert "no pattern 'y+' was taken" in requests.request("retake", "y+")
     # In the gap before the next light, the one that was shown is meant, not the next one.
-    requests.told({"event": "shot", "pattern": "x+"})
+    requests.receive({"event": "shot", "pattern": "x+"})
     assert requests.shown == "x+"
     wishes = [Wish("retake", "full"), Wish("retake", "x+"), None]
     assert [requests.command() for _ in range(3)] == wishes
@@ -139,23 +139,23 @@ def test_a_retake_is_of_the_pattern_that_is_named_or_was_shown_last():
 
 def test_a_retake_that_comes_after_the_last_pattern_is_refused_and_not_forgotten():
     requests = Requests()
-    requests.told({"event": "begin", "sequence": ["full", "x+"]})
+    requests.receive({"event": "begin", "sequence": ["full", "x+"]})
     for pattern in ("full", "x+"):
-        requests.told({"event": "lit", "pattern": pattern})
+        requests.receive({"event": "lit", "pattern": pattern})
         if pattern == "x+":
             assert requests.request("retake") is None
             assert requests.command() == Wish("retake", "x+")
-        requests.told({"event": "shot", "pattern": pattern})
+        requests.receive({"event": "shot", "pattern": pattern})
     assert "all patterns are done" in requests.request("retake")
     assert "retake" not in requests.possible
-    requests.told({"event": "rejected", "pattern": "x+", "camera": "cam0"})
+    requests.receive({"event": "rejected", "pattern": "x+", "camera": "cam0"})
     assert requests.request("retake", "full") is None
 
 
 def test_a_retake_is_heard_in_a_pause_too():
     requests = Requests()
-    requests.told({"event": "lit", "pattern": "x+"})
-    requests.told({"event": "shot", "pattern": "x+"})
+    requests.receive({"event": "lit", "pattern": "x+"})
+    requests.receive({"event": "shot", "pattern": "x+"})
     for do in ("pause", "retake", "resume"):
         assert requests.request(do) is None
     wishes = [Wish("pause"), Wish("retake", "x+"), Wish("resume")]
@@ -171,7 +171,7 @@ def test_a_retake_is_heard_in_a_pause_too():
 
 def test_an_answer_to_another_question_than_the_one_that_waits_is_refused():
     requests, got = Requests(), []
-    requests.told({"event": "asked", "pattern": "x-"})
+    requests.receive({"event": "asked", "pattern": "x-"})
     choices = ("retake", "accept", "abort")
     waiting = threading.Thread(target=lambda: got.append(requests.ask(choices)))
     waiting.start()
@@ -215,7 +215,7 @@ def test_no_order_of_requests_leads_to_contradictory_wishes(steps):
     paused = aborted = done = False
     for step in steps:
         if step == "told":
-            requests.told({"event": "shot"})
+            requests.receive({"event": "shot"})
             done = True
         elif step != "take":
             accepted = requests.request(step) is None
@@ -242,5 +242,5 @@ def test_clients_can_stop_a_capture_that_nobody_attends():
     assert dark == [True]
     assert nobody.command() == Wish("abort")
     assert nobody.decide([BAD], 2) == "abort"
-    nobody.told({"event": "aborted"})
+    nobody.receive({"event": "aborted"})
     assert nobody.request("abort") == "the capture is over"

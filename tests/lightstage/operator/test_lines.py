@@ -48,7 +48,7 @@ def test_lines_without_ids_get_their_place(tmp_path):
         assert [line["id"] for line in tail.read()] == [1, 2]
 
 
-def test_no_journal_is_said(tmp_path):
+def test_no_journal_is_reported(tmp_path):
     with pytest.raises(FormatError, match="no such file, expected the journal"):
         JournalTail(tmp_path / "journal.jsonl")
 

@@ -52,7 +52,7 @@ def test_a_folder_that_is_not_safe_or_not_short_is_not_used(runtime, wrong, monk
     assert len(os.fsencode(path)) <= 100
 
 
-def test_without_any_folder_it_is_said_what_to_set(monkeypatch):
+def test_without_any_folder_it_is_reported_what_to_set(monkeypatch):
     monkeypatch.setattr(module, "_own", lambda _: False)
     with pytest.raises(CaptureError, match="Set XDG_RUNTIME_DIR"):
         new_socket_path()

@@ -11,7 +11,7 @@ from rich.console import Console
 from lightstage.operator.command import drawn
 from lightstage.operator.screen import Ask, Screen
 from lightstage.operator.view import View
-from lightstage.operator.words import Said, said
+from lightstage.operator.words import Notice, notice_of
 
 RUNNING = ("retake", "pause", "abort")
 
@@ -19,7 +19,7 @@ RUNNING = ("retake", "pause", "abort")
 def shown(lines):
     view = View("sessions/P1")
     for line in lines:
-        view.told(line)
+        view.receive(line)
     return view
 
 
@@ -64,15 +64,15 @@ def test_nine_cameras_their_states_and_the_keys_fit(busy, columns, rows):
 
 
 @pytest.mark.parametrize("columns", [60, 100])
-def test_a_question_says_what_was_found_what_to_do_and_which_keys(busy, columns):
+def test_a_question_states_what_was_found_what_to_do_and_which_keys(busy, columns):
     line = busy.not_taken("y+", "cam8", "no answer within 30 s")
     view = shown(busy.lines)
-    text = " ".join(picture(view, Ask([said(line)], ("retake", "abort")), columns))
+    text = " ".join(picture(view, Ask([notice_of(line)], ("retake", "abort")), columns))
     text = " ".join(text.split())
     for part in ("y+ by cam8: no answer within 30 s.", "Look at its cable and battery"):
         assert part in text
     assert "What now?" in text
-    assert " r take it again q stop now, go on later" in text
+    assert " r retake it q stop now, resume later" in text
     assert "accept" not in text
 
 
@@ -80,19 +80,19 @@ def test_a_question_says_what_was_found_what_to_do_and_which_keys(busy, columns)
 @pytest.mark.parametrize("asked", [True, False])
 def test_every_key_stands_with_its_words_on_one_line(busy, columns, asked):
     busy.add("asked", pattern="y+")
-    question = [Said("problem", "photograph 1 is blurred", "Do something.")] if asked else []
+    question = [Notice("problem", "photograph 1 is blurred", "Do something.")] if asked else []
     keys = ("retake", "accept", "pause", "abort")
     lines = picture(shown(busy.lines), Ask(question, keys), columns, 24)
     assert len(lines) < 24
     assert max(map(len, lines)) <= columns
-    retake = "take it again" if asked else "this pattern again"
-    end = "stop now, go on later" if asked else "stop, dark at once"
+    retake = "retake it" if asked else "this pattern again"
+    end = "stop now, resume later" if asked else "stop, dark at once"
     for part in (f" r  {retake}", " a  accept as it is", " p  pause", f" q  {end}"):
         assert sum(part in line for line in lines) == 1, (part, lines)
 
 
 def test_very_many_findings_leave_room_for_cameras_and_keys(busy):
-    findings = [Said("problem", f"photograph {i} is blurred", "Do something.") for i in range(90)]
+    findings = [Notice("problem", f"photograph {i} is blurred", "Do something.") for i in range(90)]
     lines = picture(shown(busy.lines), Ask(findings, RUNNING), 60, 24)
     text = "\n".join(lines)
     assert len(lines) < 24
@@ -107,17 +107,17 @@ def test_the_failing_camera_the_question_and_its_keys_are_always_in_view(busy, c
     long = "another program has the camera, and says so at great length, " * 12
     lines = [busy.not_taken("y+", "cam8", long), busy.not_taken("y+", "cam3", "no answer")]
     busy.add("asked", pattern="y+")
-    ask = Ask([said(line) for line in lines], ("retake", "abort"))
+    ask = Ask([notice_of(line) for line in lines], ("retake", "abort"))
     shown_lines = picture(shown(busy.lines), ask, columns, rows)
     text = "\n".join(shown_lines)
     assert len(shown_lines) < rows
     for part in (r"^cam8 +FAILED", r"^cam3 +", "DARK, waiting for you", "What now?"):
         assert re.search(part, text, re.M), text
-    assert " r  take it again   q  stop now, go on later" in text
+    assert " r  retake it   q  stop now, resume later" in text
 
 
 def test_findings_that_do_not_fit_are_scrolled_by_keys_to_their_end(busy):
-    findings = [Said("problem", f"photograph {i} is blurred", "Do it.") for i in range(9)]
+    findings = [Notice("problem", f"photograph {i} is blurred", "Do it.") for i in range(9)]
     view, ask = shown(busy.lines), Ask(findings, RUNNING)
     assert "more lines below: arrow keys" in "\n".join(picture(view, ask, 60, 15))
     seen = set()
@@ -140,10 +140,10 @@ def test_the_seconds_until_the_lights_go_dark_are_counted_down(busy, monkeypatch
     monkeypatch.setattr(time, "monotonic", lambda: now_s + 2.0)
     assert "dark in 1 s" in "\n".join(picture(view, None, 80))
     assert re.search(r"^cam7 +LATE", "\n".join(picture(view, None, 80)), re.M)
-    view.told(busy.add("waiting", **values, lit=False))
+    view.receive(busy.add("waiting", **values, lit=False))
     assert "DARK, waiting for cam7: started again in 28 s" in "\n".join(picture(view, None, 80))
     busy.expose("y+", "cam7")
-    view.told(busy.lines[-1])
+    view.receive(busy.lines[-1])
     assert "late" not in "\n".join(picture(view, None, 80))
 
 
@@ -168,7 +168,7 @@ def test_cameras_that_failed_and_do_not_fit_are_counted(story):
     lines = [journal.not_taken("full", camera, "it is gone") for camera in journal.cameras]
     journal.add("asked", pattern="full")
     rows = picture(
-        shown(journal.lines), Ask([said(line) for line in lines], ("retake", "abort")), 60, 15
+        shown(journal.lines), Ask([notice_of(line) for line in lines], ("retake", "abort")), 60, 15
     )
     assert len(rows) < 15
     in_view = sum("FAILED" in row and row.startswith("cam") for row in rows)
@@ -209,7 +209,7 @@ def test_what_was_accepted_has_a_sign_of_its_own_and_rare_signs_are_explained_wh
 
 
 @pytest.mark.parametrize(("columns", "said"), [(60, "7 patterns, 1 done"), (56, "1 of 7 done")])
-def test_the_count_above_the_signs_says_of_what(story, columns, said):
+def test_the_count_above_the_signs_states_of_what(story, columns, said):
     journal = story(9)
     journal.begin()
     journal.shoot("full")
@@ -263,7 +263,7 @@ def test_no_color_is_respected(busy, monkeypatch):
     assert all(int(part or 0) < 10 for code in codes for part in code.split(";"))
 
 
-def test_lights_that_do_not_acknowledge_are_said(story):
+def test_lights_that_do_not_acknowledge_are_reported(story):
     journal = story(2)
     journal.begin()
     journal.add("lit", pattern="full", acknowledged=False)
@@ -282,7 +282,7 @@ def test_what_devices_say_is_no_markup_and_no_control_code(story):
     assert "[bold]x[/bold]" in text
 
 
-def test_each_end_is_told(story, replay):
+def test_each_end_is_reported(story, replay):
     journal = story(2)
     assert "being checked" in "\n".join(picture(View("S"), Ask()))
     journal.begin()

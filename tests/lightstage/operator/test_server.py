@@ -85,7 +85,7 @@ def accept(do, pattern=""):
 @contextlib.contextmanager
 def serving(writing, request=accept, **config):
     with EventServer(writing.path, request, EventConfig(**config)) as server:
-        writing.listeners.append(server.told)
+        writing.listeners.append(server.receive)
         yield server
 
 
@@ -176,11 +176,11 @@ def test_a_line_that_is_not_whole_or_not_on_the_disk_is_not_given(writing):
         server._wake()
         client.send({"do": "pause"})
         assert client.line() == {"answer": "pause", "accepted": True}  # and nothing before it
-        server.told({"id": 2})
+        server.receive({"id": 2})
         assert client.line()["id"] == 2
         with writing.path.open("ab") as file:
             file.write(b'ent": "shot"}\n')
-        server.told({"id": 3})
+        server.receive({"id": 3})
         assert client.line() == {"id": 3, "event": "shot"}
 
 
@@ -262,7 +262,7 @@ def test_the_socket_is_private_and_gone_at_the_end(writing):
         assert stat.S_IMODE(os.stat(server.path).st_mode) == 0o600
         assert stat.S_ISSOCK(os.stat(server.path).st_mode)
     assert not server.path.exists()
-    server.told({"id": 1})  # a listener that is called late harms nothing
+    server.receive({"id": 1})  # a listener that is called late harms nothing
     server.close()
 
 
@@ -291,7 +291,7 @@ def test_a_client_that_never_reads_does_not_keep_the_end_from_coming(writing):
     deaf.close()
 
 
-def test_a_session_tells_its_socket_in_the_journal(writing):
+def test_a_session_states_its_socket_in_the_journal(writing):
     writing.note("begin")
     with serve_events(writing, accept) as server:
         client = Client(server.path, 0)

@@ -42,7 +42,7 @@ def main():
         with open_operator("S/1") as operator:
             operator.at_abort(lambda: light("dark-by-key"))
             for line in lines:
-                operator.told(line)
+                operator.receive(line)
             {body}
     finally:
         light("dark")
@@ -178,11 +178,11 @@ def test_ctrl_z_and_ctrl_backslash_do_not_leave_the_lights_on(capture):
     assert terminal.end() == 130
 
 
-def test_keys_are_wishes_and_what_makes_no_sense_is_said(capture):
+def test_keys_are_wishes_and_what_makes_no_sense_is_reported(capture):
     terminal, lights = capture(LOOP)
     terminal.wait_for("this pattern again")
     terminal.press("r")
-    terminal.wait_for("x+ will be taken again next")
+    terminal.wait_for("x+ will be retaken next")
     terminal.wait_until(lambda: "retake" in lights.read_text(), "no retake")
     terminal.press("a")
     terminal.wait_for("Not now: nothing waits to be accepted")
@@ -222,7 +222,7 @@ def pictured(told, columns, rows):
     """What the screen shall show: all of its rows."""
     view, file = View("S/1"), io.StringIO()
     for line in told.lines:
-        view.told(line)
+        view.receive(line)
     Console(file=file, width=columns, height=rows).print(
         Screen(view, Ask(keys=("retake", "pause", "abort")))
     )
@@ -278,7 +278,7 @@ def plain(operator_does, replay, **more):
     console = Console(file=file, width=40)
     with TerminalOperator(console, "S/1", **more) as operator:
         for line in replay:
-            operator.told(line)
+            operator.receive(line)
         result = operator_does(operator)
     return file.getvalue(), result
 
@@ -297,16 +297,16 @@ def test_a_log_gets_plain_lines_without_control_codes(replay):
 
 def test_a_log_of_a_resumed_capture_begins_where_it_goes_on(replay):
     def report(operator):
-        operator.told({"event": "resume", "time_utc": "2031-05-06T11:00:00"})
-        operator.told(replay[-1])
+        operator.receive({"event": "resume", "time_utc": "2031-05-06T11:00:00"})
+        operator.receive(replay[-1])
 
     file = io.StringIO()
     with TerminalOperator(Console(file=file, width=40), "S/1") as operator:
         for line in replay[:-1]:
-            operator.told(line, old=True)
+            operator.receive(line, old=True)
         report(operator)
     assert [line[9:] for line in file.getvalue().splitlines()] == [
-        "The session goes on where it stopped.",
+        "The session continues where it stopped.",
         "+ The session is complete: 63 photographs.",
     ]
     assert len(operator.view.done) == 7
@@ -355,7 +355,7 @@ def test_a_reader_who_has_stopped_does_not_hold_a_capture(replay):
     ):
         for _ in range(200):  # far more than the pipe holds
             for line in replay:
-                operator.told(line)
+                operator.receive(line)
         assert operator.view.phase == "complete"
         os.close(reader)
 
@@ -367,7 +367,7 @@ def test_a_terminal_without_unicode_is_told_all_the_same(story):
     file = io.TextIOWrapper(io.BytesIO(), encoding="ascii", write_through=True)
     with TerminalOperator(Console(file=file), "S") as operator:
         for line in journal.lines:
-            operator.told(line)
+            operator.receive(line)
     file.seek(0)
     assert "full, cam0: ??" in file.read()
 
@@ -404,5 +404,5 @@ def test_an_operator_can_be_made_without_a_terminal(replay):
     file = io.StringIO()
     with open_operator("S", console=Console(file=file)) as operator:
         for line in replay:
-            operator.told(json.loads(json.dumps(line)))
+            operator.receive(json.loads(json.dumps(line)))
     assert "complete" in file.getvalue()

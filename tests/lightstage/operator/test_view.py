@@ -10,7 +10,7 @@ from lightstage.operator.view import View
 def shown(lines):
     view = View("S")
     for line in lines:
-        view.told(line)
+        view.receive(line)
     return view
 
 
@@ -38,7 +38,7 @@ def test_each_step_of_a_shot_is_seen(story):
 
     def states():
         for line in journal.lines[view.last_id :]:
-            view.told(line)
+            view.receive(line)
         return [camera.state for camera in view.cameras.values()]
 
     assert states() == ["idle"] * 3
@@ -163,7 +163,7 @@ def test_a_card_loses_what_is_put_on_it(story):
 def test_a_replay_gives_what_was_seen_live(replay):
     live = View("S")
     for count, line in enumerate(replay, 1):
-        live.told(line)
+        live.receive(line)
         assert standing(live) == standing(shown(replay[:count]))
 
 
@@ -187,7 +187,7 @@ def test_the_time_that_somebody_thinks_is_no_measure_of_what_is_left(story):
     for each in (journal, quick):
         view = View()
         for line in each.lines:
-            view.told(line)
+            view.receive(line)
         left.append(view.left_s())
     assert left[0] == pytest.approx(left[1])
 
@@ -203,10 +203,10 @@ def test_the_time_for_which_a_camera_that_hangs_is_waited_for_is_counted_and_no_
     views = [View(), View()]
     for view, each in zip(views, (journal, quick), strict=True):
         for line in each.lines:
-            view.told(line)
+            view.receive(line)
     assert views[0].left_s() == pytest.approx(views[1].left_s())
     usual_s = views[0].left_s()
-    views[0].told(
+    views[0].receive(
         journal.add("waiting", pattern="x+", cameras=["cam1"], lit=False, ended_in_s=30.0)
     )
     assert views[0].left_s() == pytest.approx(usual_s + 30.0, abs=2.0)
@@ -222,13 +222,13 @@ def test_a_kept_photograph_that_is_asked_about_is_in_question_until_it_is_decide
     views = [View(), View()]
     for view in views:
         for line in journal.lines:
-            view.told(line)
+            view.receive(line)
         assert [view.mark("full", camera) for camera in view.cameras] == ["kept", "in question"]
         assert view.cameras["cam1"].state == "in question"
         assert view.kept == 2
-    views[0].told(journal.add("accepted", pattern="full", findings=[{}]))
+    views[0].receive(journal.add("accepted", pattern="full", findings=[{}]))
     assert (views[0].mark("full", "cam1"), views[0].cameras["cam1"].state) == ("accepted", "kept")
-    views[1].told(journal.add("rejected", pattern="full", camera="cam1", take=1))
+    views[1].receive(journal.add("rejected", pattern="full", camera="cam1", take=1))
     assert views[1].mark("full", "cam1") == "again"
 
 
@@ -239,13 +239,13 @@ def test_what_holds_only_while_a_capture_runs_is_not_said_at_its_end(story):
     journal.add("note", camera="cam0", said="restarting")
     view = View()
     for line in journal.lines:
-        view.told(line)
+        view.receive(line)
     assert ["follow" in words.text for words in view.news if words.text][-1]
     assert not any("restarting" in words.text for words in view.news)
-    view.told(journal.add("aborted", said="Stopped by the operator."))
+    view.receive(journal.add("aborted", said="Stopped by the operator."))
     assert not any("follow" in words.text for words in view.news)
     assert any("Stopped" in words.text for words in view.news)
-    view.told(journal.add("resume"))
+    view.receive(journal.add("resume"))
     assert not any("Stopped" in words.text for words in view.news)
 
 
@@ -256,9 +256,9 @@ def test_while_a_question_waits_it_is_dark_and_waits_for_the_operator(story):
     journal.add("asked", pattern="x+")
     view = View()
     for line in journal.lines:
-        view.told(line)
+        view.receive(line)
     assert (view.phase, view.pattern) == ("asked", None)
-    view.told(journal.add("answered", pattern="x+", do="retake"))
+    view.receive(journal.add("answered", pattern="x+", do="retake"))
     assert view.phase == "running"
 
 

@@ -38,7 +38,7 @@ class Writer:
             listener(line)
 
 writer, operator = Writer(Path(sys.argv[1])), Unattended()
-writer.listeners.append(operator.told)
+writer.listeners.append(operator.receive)
 with serve_events(writer, operator.request):
     for raw in sys.stdin:
         line = json.loads(raw)
@@ -116,7 +116,7 @@ def bare(lines):
     return [{k: v for k, v in line.items() if k not in ("id", "elapsed_s")} for line in lines]
 
 
-def test_a_finished_capture_is_told_from_its_journal(tmp_path, replay, written):
+def test_a_finished_capture_is_distinguished_from_its_journal(tmp_path, replay, written):
     written(tmp_path / "journal.jsonl", replay)
     done = watch(tmp_path, program=("-m", "lightstage"))
     assert done.returncode == 0
@@ -152,7 +152,7 @@ def test_a_running_capture_is_followed_live_to_its_end_and_each_line_comes_once(
     assert len(got) == 4
 
 
-def test_a_capture_that_is_killed_is_told_as_not_over(tmp_path, replay, capturing):
+def test_a_capture_that_is_killed_is_reported_as_not_over(tmp_path, replay, capturing):
     running = capturing()
     running.write(*bare(replay[:30]))
     running.wait(lambda: running.journal.read_bytes().count(b"\n") == 31)
@@ -165,7 +165,7 @@ def test_a_capture_that_is_killed_is_told_as_not_over(tmp_path, replay, capturin
     done = watch(tmp_path)
     assert done.returncode == 0
     assert "not over at line 31, and no capture runs" in done.stdout
-    assert f"Go on with: lightstage capture --resume --out {tmp_path}" in done.stdout
+    assert f"To resume: lightstage capture --resume --out {tmp_path}" in done.stdout
     with pytest.raises(CaptureError, match="no capture that answers"):
         ask(tmp_path, "abort")
 
@@ -197,7 +197,7 @@ def test_another_terminal_can_stop_a_capture(tmp_path, replay, capturing):
     running.wait(lambda: "the operator wishes: abort" in running.journal.read_text())
 
 
-def test_nobody_there_is_said(tmp_path, replay, written):
+def test_nobody_there_is_reported(tmp_path, replay, written):
     nothing = watch(tmp_path / "S", "--wait", 0)
     assert nothing.returncode == 2
     assert "no such file, expected the journal of a capture" in nothing.stderr
@@ -262,7 +262,7 @@ def test_what_was_stopped_ends_with_the_line_that_goes_on(tmp_path, story, writt
     done = watch(tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.endswith(
-        f"Go on with: lightstage capture --resume --out {tmp_path} --leds socket://x:1\n"
+        f"To resume: lightstage capture --resume --out {tmp_path} --leds socket://x:1\n"
     )
 
 
@@ -299,7 +299,7 @@ def test_a_picture_of_a_question_shows_what_was_asked_and_could_be_answered(
     text = " ".join(html.unescape(re.sub(r"<[^>]*>", " ", path.read_text())).split())
     for part in ("waiting for you", "full by cam1: nothing sharp", "What now?"):
         assert part in text
-    assert "take it again" in text
+    assert "retake it" in text
     assert ("accept as it is" in text) == (code == "blur")
     assert watch(tmp_path, "--picture", path).returncode == 0
     assert "What now?" not in path.read_text().replace("&#160;", " ")
@@ -312,7 +312,7 @@ def test_a_watcher_at_a_terminal_sees_the_picture_and_leaves_by_q(
     running.write(*bare(replay[:60]))
     terminal = terminals("-c", WATCH, "watch", str(tmp_path))
     terminal.wait_for("TAKING")
-    seen = terminal.wait_for("leave (the capture goes on)")
+    seen = terminal.wait_for("leave (the capture continues)")
     running.write({"event": "finding", "severity": "warn", "where": "cam1", "found": "it is dim"})
     terminal.wait_for("it is dim", seen)
     terminal.press("q")

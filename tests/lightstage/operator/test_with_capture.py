@@ -52,7 +52,7 @@ def test_q_in_the_middle_is_a_stop_and_the_advised_line_goes_on(stage, capture, 
     terminal.wait_for("STOPPING: lights out")
     terminal.wait_for("Stopped by the operator.")
     assert "Error" not in terminal.said
-    advised = re.findall(r"Go on with: (lightstage capture --resume[^\r\n]*)", terminal.said)[-1]
+    advised = re.findall(r"To resume: (lightstage capture --resume[^\r\n]*)", terminal.said)[-1]
     assert len(events(out, "aborted")) == 1
     assert not (out / "session.json").exists()
     kept = len(events(out, "frame"))
@@ -90,7 +90,7 @@ def test_a_failed_camera_is_asked_about_and_taken_again_alone(stage, capture):
     stage.device.on_state = show_and_lose
     terminal, out = capture("--sequence", "full,x+,x-")
     terminal.wait_for("What now?")
-    terminal.wait_for("look at its cable, battery and card")
+    terminal.wait_for("check its cable, battery and card")
     assert "accept as it is" not in terminal.said
     stage.device.on_state = show
     away.rename(gone)
@@ -133,7 +133,7 @@ def test_others_follow_every_line_and_may_stop_it(stage, capture):
 
 
 @pytest.mark.parametrize("moment", ["before-the-first-frame", "in-the-middle", "in-a-question"])
-def test_who_watches_a_capture_that_is_killed_is_told_so_with_the_line_that_goes_on(
+def test_who_watches_a_capture_that_is_killed_is_reported_with_the_line_that_goes_on(
     stage, capture, terminals, moment
 ):
     if moment == "in-a-question":
@@ -143,17 +143,17 @@ def test_who_watches_a_capture_that_is_killed_is_told_so_with_the_line_that_goes
     wanted = {"before-the-first-frame": "lit", "in-the-middle": "shot", "in-a-question": "asked"}
     terminal.wait_until(lambda: events(out, wanted[moment]), "it does not come to it")
     if moment != "before-the-first-frame":
-        watcher.wait_for("leave (the capture goes on)")
+        watcher.wait_for("leave (the capture continues)")
     terminal.process.kill()
     later = terminals("-m", "lightstage", "watch", str(out))
     (begin,) = events(out, "begin")
     for each in (watcher, later):
         assert each.end() == 0, each.said[-3000:]
-        each.wait_for(f"Go on with: {resume_line(out, begin['resume_with'])}")
+        each.wait_for(f"To resume: {resume_line(out, begin['resume_with'])}")
         left = "\n".join(each.emulator.history)
         assert "and no capture runs" in left
         assert "\nNO CAPTURE RUNS\n" in left
-        assert "leave (the capture goes on)" not in left
+        assert "leave (the capture continues)" not in left
 
 
 def test_a_log_of_a_capture_has_plain_lines(stage, tmp_path, runtime):

@@ -20,7 +20,7 @@ from lightstage.operator.words import (
     Tone,
     duration,
     merged,
-    said,
+    notice_of,
 )
 from lightstage.printable import printable
 
@@ -68,30 +68,30 @@ def test_every_severity_state_and_tone_has_words():
 
 
 @pytest.mark.parametrize("severity", ["refuse", "retake", "warn"])
-def test_what_is_wrong_always_says_what_to_do(severity):
+def test_what_is_wrong_always_states_what_to_do(severity):
     line = {"event": "finding", "severity": severity, "where": "cam3", "found": "ISO 400"}
-    words = said(line | {"expected": "ISO 100"})
+    words = notice_of(line | {"expected": "ISO 100"})
     assert words.todo
     assert "cam3: ISO 400 (wanted: ISO 100)" in words.text
-    assert said(line | {"hint": "Set ISO 100."}).todo == "Set ISO 100."
+    assert notice_of(line | {"hint": "Set ISO 100."}).todo == "Set ISO 100."
 
 
 @pytest.mark.parametrize("event", ["failed", "recovered", "aborted"])
-def test_what_went_wrong_says_what_to_do(event):
-    words = said({"event": event, "said": "no answer", "camera": "cam3"}, "S/1")
+def test_what_went_wrong_states_what_to_do(event):
+    words = notice_of({"event": event, "said": "no answer", "camera": "cam3"}, "S/1")
     assert words.todo
     assert words.tone in ("warning", "problem", "stop")
 
 
-def test_an_abort_says_how_to_go_on():
-    words = said({"event": "aborted", "said": "camera cam3 is gone"}, "sessions/P1")
+def test_an_abort_states_how_to_go_on():
+    words = notice_of({"event": "aborted", "said": "camera cam3 is gone"}, "sessions/P1")
     assert "lightstage capture --resume --out sessions/P1" in words.todo
     assert "camera cam3 is gone" in words.text
 
 
 def test_braces_in_what_devices_say_stay_as_they_are():
-    assert "{session}" not in said({"event": "aborted", "said": "x"}, "S").todo
-    assert "{0} {x}" in str(said({"event": "failed", "said": "{0} {x}"}))
+    assert "{session}" not in notice_of({"event": "aborted", "said": "x"}, "S").todo
+    assert "{0} {x}" in str(notice_of({"event": "failed", "said": "{0} {x}"}))
 
 
 @pytest.mark.parametrize(
@@ -108,13 +108,13 @@ def test_time_left_in_words(seconds, words):
     assert duration(seconds) == words
 
 
-def test_the_same_of_several_cameras_is_said_once():
+def test_the_same_of_several_cameras_is_reported_once():
     lines = [
         {"event": "failed", "pattern": "x+", "camera": camera, "said": f"{camera} is gone"}
         for camera in ("cam1", "cam10", "cam1")
     ]
     other = {"event": "failed", "pattern": "x-", "camera": "cam1", "said": "it hangs"}
-    words = merged([said(each) for each in [lines[0], other, *lines[1:]]])
+    words = merged([notice_of(each) for each in [lines[0], other, *lines[1:]]])
     assert [each.text for each in words] == [
         "x-, cam1: it hangs",
         "x+, cam1, cam10: cam1, cam10 is gone",
@@ -149,13 +149,13 @@ def test_the_same_of_several_cameras_is_said_once():
         ("x+ by cam0: found a blurred eye (f/2.8)", "x+ by cam0: found a blurred eye (f/2.8)"),
     ],
 )
-def test_a_drivers_codes_ports_and_class_names_are_said_in_plain_words(raw, read):
+def test_a_drivers_codes_ports_and_class_names_are_reported_in_plain_words(raw, read):
     assert plain(raw) == read
     line = {"event": "finding", "severity": "retake", "code": "not-taken", "found": raw}
-    assert read in said(line).text
+    assert read in notice_of(line).text
 
 
-def test_why_a_camera_gave_no_photograph_is_said_without_what_stands_beside_it():
+def test_why_a_camera_gave_no_photograph_is_reported_without_what_stands_beside_it():
     why = (
         "camera cam5 (/tmp/cam5), trigger: found error -1 (no picture was taken), expected one. "
         "Try the shot again."
@@ -166,7 +166,7 @@ def test_why_a_camera_gave_no_photograph_is_said_without_what_stands_beside_it()
     assert cause(why, "cam1") == plain(why)
 
 
-def test_a_camera_that_does_not_start_again_is_told_by_why_it_failed_first():
+def test_a_camera_that_does_not_start_again_is_reported_by_why_it_failed_first():
     port = "/tmp/a-stage-with-a-rather-long-name/of-a-lab/cameras/cam7"
     first = (
         f"camera cam7 ({port}), trigger: found error -7 (the camera switched itself off, its "
@@ -178,7 +178,7 @@ def test_a_camera_that_does_not_start_again_is_told_by_why_it_failed_first():
     )
     line = {"event": "finding", "severity": "retake", "code": "not-taken", "camera": "cam7"}
     line |= {"where": "x+ by cam7", "found": f"{first}{THEN}{then}", "expected": "a photograph"}
-    assert said(line).text == (
+    assert notice_of(line).text == (
         "Not good: x+ by cam7: the camera switched itself off, its battery is empty. Put in a full "
         "battery and switch it on. It does not start again: no camera at any port."
     )
@@ -188,7 +188,7 @@ def test_a_camera_that_does_not_start_again_is_told_by_why_it_failed_first():
 
 def test_a_picture_found_on_a_cards_folder_is_told_without_its_path():
     raw = "/DCIM/100SIM/DSC_0001.DNG lies on its card, though: camera cam4, trigger: found nothing"
-    words = said(
+    words = notice_of(
         {"event": "note", "about": ON_CARD, "pattern": "full", "camera": "cam4", "said": raw}
     )
     assert str(words) == "full, cam4: it answers again, and its picture is on its card."
@@ -204,13 +204,13 @@ def test_control_characters_never_reach_the_terminal():
     st.sampled_from(EVENTS) | st.text(max_size=10),
     st.dictionaries(st.sampled_from(FIELDS), JSON | st.text(max_size=500)),
 )
-def test_any_line_reads_as_one_printable_line_and_can_be_told(event, fields):
+def test_any_line_reads_as_one_printable_line_and_can_be_reported(event, fields):
     line = {**fields, "event": event}
-    words = said(line)
+    words = notice_of(line)
     assert str(words).isprintable()
     assert len(str(words)) < 2000
     view = View()
-    view.told({"event": "begin", "sequence": ["x+", "x-"], "cameras": ["cam0", "cam1"]})
-    view.told(line)
+    view.receive({"event": "begin", "sequence": ["x+", "x-"], "cameras": ["cam0", "cam1"]})
+    view.receive(line)
     assert 0 <= view.kept <= view.wanted
     assert view.progress().isprintable()

@@ -57,7 +57,7 @@ def test_a_sequence_is_told_pattern_by_pattern_with_the_evenness_of_full():
     assert "uneven by 14.10 %" in run("binary", "--drive", "on-off")[-1]
 
 
-def test_lights_on_a_splitting_plane_are_told(octahedron):
+def test_lights_on_a_splitting_plane_are_reported(octahedron):
     facts = json.loads(run("x+,lin-y-,mux-1,full", "--rig", octahedron, "--json")[-1])
     assert facts["on_plane"] == {"x": [1, 2, 4, 5], "y": [0, 2, 3, 5], "z": [0, 1, 3, 4]}
     assert [row["on_plane"] for row in facts["patterns"]] == [4, 4, 6, 0]
@@ -67,7 +67,7 @@ def test_lights_on_a_splitting_plane_are_told(octahedron):
     assert half["on_plane"] == 2  # lights 2 and 4 are of the vertical bank
 
 
-def test_mux_says_what_white_lights_cannot():
+def test_mux_states_what_white_lights_cannot():
     assert any("one diagonal" in line for line in run("mux"))
     assert not any("one diagonal" in line for line in run("binary"))
 

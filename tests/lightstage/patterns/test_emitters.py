@@ -122,7 +122,7 @@ def test_mux_by_red_green_and_blue_emitters_holds_six_gradients():
         (RIG, ("warm",), "olat-000", r"olat-000: found a light of another colour, expected one of"),
     ],
 )
-def test_colours_that_cannot_be_driven_are_told(rig, names, pattern, message):
+def test_colours_that_cannot_be_driven_are_reported(rig, names, pattern, message):
     with pytest.raises(PatternError, match=message):
         plan_shots([pattern], rig, emitters=names)
 

@@ -165,7 +165,7 @@ def test_every_sequence_is_explained():
     assert list(MEANINGS) == [*SEQUENCES, "olat"]
 
 
-def test_lights_on_a_splitting_plane_are_told_by_axis():
+def test_lights_on_a_splitting_plane_are_reported_by_axis():
     rig = rig_at((0, 1250, 0), (1e-4, 900, 900), (800, 0, 900), (1, 1, 1))
     assert on_plane(rig) == {"x": [0, 1], "y": [2], "z": [0]}
     assert on_plane(default_rig()) == {}

@@ -69,7 +69,7 @@ def test_an_environment_stands_beside_the_file(tmp_path):
     assert not mine.is_field  # it is summed over solid angles already
 
 
-def test_lights_too_faint_for_the_wire_are_told(tmp_path):
+def test_lights_too_faint_for_the_wire_are_reported(tmp_path):
     picture = np.full((16, 32, 3), 1e-4)
     picture[8, 16] = 6e4
     write_exr(tmp_path / "sun.exr", picture)
@@ -119,7 +119,7 @@ def test_lights_too_faint_for_the_wire_are_told(tmp_path):
         ('level = "high"', "level: found 'high', expected float"),
     ],
 )
-def test_a_fault_is_told_with_its_place(tmp_path, text, message):
+def test_a_fault_is_reported_with_its_place(tmp_path, text, message):
     with pytest.raises(LightstageError, match=message):
         one(tmp_path, text)
 

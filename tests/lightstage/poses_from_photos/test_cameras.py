@@ -204,7 +204,7 @@ def test_a_plane_is_flat_and_a_head_is_not(
         solving._refuse_flat(wall)
 
 
-def test_what_ends_colmap_is_told_in_one_message(
+def test_what_ends_colmap_is_reported_in_one_message(
     shots: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pictures = {name: read_grey(path) for name, path in shots.items()}

@@ -109,14 +109,16 @@ def test_another_focal_length_is_found(shots: dict[str, Path]) -> None:
     assert {lens["by"] for lens in found.facts["lenses"]} == {"found"}
 
 
-def test_another_focal_length_is_told_by_exif(light: dict[str, np.ndarray], tmp_path: Path) -> None:
+def test_another_focal_length_is_reported_by_exif(
+    light: dict[str, np.ndarray], tmp_path: Path
+) -> None:
     found = find(with_exif(tmp_path, light, lambda name: 115 if name == ODD else 155))
     require_right(found)
     assert not found.warnings
     assert {lens["by"] for lens in found.facts["lenses"]} == {"EXIF"}
 
 
-def test_another_focal_length_is_told_by_a_file(shots: dict[str, Path], tmp_path: Path) -> None:
+def test_another_focal_length_is_reported_by_a_file(shots: dict[str, Path], tmp_path: Path) -> None:
     path = tmp_path / "lenses.json"
     entries = [{"cameras": [ODD], "focal_mm": 78, "sensor_mm": 36}, {"cameras": [*OTHERS]}]
     path.write_text(json.dumps({"schema": "lightstage.lenses/1", "lenses": entries}))

@@ -44,7 +44,7 @@ def test_a_stage_that_is_ready_has_no_findings(tmp_path, small_rig):
     require(found)
 
 
-def test_lights_cameras_and_disk_are_told_in_one_message(tmp_path, small_rig):
+def test_lights_cameras_and_disk_are_reported_in_one_message(tmp_path, small_rig):
     free_of_names = {"iso": "400", "battery_percent": 5.0, "owner": "Ann Person", "shutter": "1/9"}
     found = look(
         small_rig, tmp_path / ("s" * 300), Leds(7, False), card_free_bytes=10, **free_of_names

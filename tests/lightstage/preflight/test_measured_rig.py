@@ -24,7 +24,7 @@ def test_cameras_that_were_not_measured_or_not_checked_are_warned_of_by_name() -
 
 
 @pytest.mark.parametrize("given", [None, "cam3", 7, [[]], ["cam77"], {"cam3": 1}])
-def test_a_list_of_cameras_that_is_none_says_nothing(given: object) -> None:
+def test_a_list_of_cameras_that_is_none_states_nothing(given: object) -> None:
     assert measured_rig_findings(dataclasses.replace(RIG, more={UNMEASURED: given})) == []
 
 

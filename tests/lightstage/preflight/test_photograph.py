@@ -88,7 +88,7 @@ def test_a_name_in_the_file_is_refused_and_not_repeated(photograph, small_rig):
     assert "Ann" not in str(finding)
 
 
-def test_a_time_that_is_off_is_told(photograph, small_rig):
+def test_a_time_that_is_off_is_reported(photograph, small_rig):
     near = photograph(taken="2026:03:04 05:06:00")
     assert look(near, small_rig, exposed_utc=EXPOSED) == []
     far = photograph(taken="2026:03:04 05:11:00")

@@ -53,7 +53,7 @@ def test_only_what_holds_something_is_cleared():
     assert privacy_findings(found) == []
 
 
-def test_every_camera_that_cannot_be_cleared_is_told_in_one_message():
+def test_every_camera_that_cannot_be_cleared_is_reported_in_one_message():
     bodies = [
         Body("cam0", stubborn=("owner",), owner="Ann"),
         Body("cam1", owner="Ann"),

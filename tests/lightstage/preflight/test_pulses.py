@@ -129,7 +129,7 @@ def test_lights_on_or_off_or_dimmed_by_current_show_no_pulses():
     assert pulse_findings({"cam0": "1/61"}, 0, 0.1, config) == []
 
 
-def test_an_unknown_frequency_is_said_to_be_not_verified():
+def test_an_unknown_frequency_is_reported_to_be_not_verified():
     (finding,) = pulse_findings({"cam0": "1/60"}, None, 0.1, PreflightConfig())
     assert finding.severity == "warn"
     assert "Not verified" in finding.hint

@@ -114,7 +114,7 @@ def test_what_the_file_expects_of_all_is_compared_by_meaning():
     assert [f.camera for f in found] == ["cam0", "cam1", "cam2"]
 
 
-def test_a_camera_of_its_own_may_differ_where_the_file_says_so():
+def test_a_camera_of_its_own_may_differ_where_the_file_reports_it():
     own = CamerasFile(cameras={"cam1": CameraEntry(expect={"aperture": "f/11"})})
     assert look(own, aperture="11") == []
     (finding,) = look(own, aperture="f/16")

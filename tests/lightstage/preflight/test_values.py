@@ -116,19 +116,19 @@ def test_different_settings_are_different(name, one, other):
         ("Unknown value 0008", set()),
     ],
 )
-def test_a_picture_format_tells_its_files(text, kinds):
+def test_a_picture_format_states_its_files(text, kinds):
     assert values.format_kinds(text) == kinds
 
 
 @pytest.mark.parametrize(
     "text", ["Auto", "Automatic", "AUTO1", "Natural light auto", "AWB", "AWB White"]
 )
-def test_an_automatic_white_balance_is_told(text):
+def test_an_automatic_white_balance_is_reported(text):
     assert values.is_auto_balance(text)
 
 
 @pytest.mark.parametrize("text", ["Daylight", "Manual", "Preset", "Color Temperature", "Flash"])
-def test_a_fixed_white_balance_is_told(text):
+def test_a_fixed_white_balance_is_reported(text):
     assert not values.is_auto_balance(text)
 
 

@@ -138,7 +138,7 @@ def test_a_setting_that_drifts_shows_in_the_camera_and_in_its_photograph(
     assert (finding.severity, finding.found) == ("refuse", "400")
 
 
-def test_a_photograph_of_another_camera_is_told_by_the_serial_in_it(bench, tmp_path, small_rig):
+def test_a_photograph_of_another_camera_is_reported_by_the_serial_in_it(bench, tmp_path, small_rig):
     stage = bench()
     path = stage.photograph(0, tmp_path / "a.dng")
     (finding,) = photograph_findings(path, small_rig.cameras[2], stage.told["cam2"])

@@ -107,7 +107,7 @@ def test_an_error_passes_through_and_the_lights_are_dark(small_rig, error):
     assert lamps.asked == ["light", "dark"]
 
 
-def test_lights_that_do_not_go_out_are_said_with_what_happened_before(small_rig):
+def test_lights_that_do_not_go_out_are_reported_with_what_happened_before(small_rig):
     lamps = Lamps()
     lamps.fails["dark"] = DeviceError("no answer")
     with (
@@ -249,7 +249,7 @@ def test_the_next_question_is_due_from_when_the_last_one_was_asked_not_answered(
         assert lights._heard_s > lamps.times_s[-1]
 
 
-def test_a_light_lost_meanwhile_is_told_by_the_next_confirm_though_it_be_back(small_rig):
+def test_a_light_lost_meanwhile_is_reported_by_the_next_confirm_though_it_be_back(small_rig):
     lamps = Lamps(watchdog_s=0.04)
     with SafeLights(lamps, QUICK, small_rig) as lights:
         lights.light(FULL)

@@ -47,7 +47,7 @@ def test_the_default_limits_allow_the_default_sequences_on_the_default_rig(drive
         check_shots(plan_shots(names, rig, drive), rig, SafetyConfig(), shot_worst_s=36.0)
 
 
-def test_all_limits_are_told_at_once(small_rig):
+def test_all_limits_are_reported_at_once(small_rig):
     shots = plan_shots(["full", "x+", "x-", "y+", "y-", "z+", "z-"], small_rig, "on-off")
     config = SafetyConfig(light_interval_s=0.1, max_light_on_s=10.0, max_heat=0.05)
     with pytest.raises(ConfigError) as caught:
@@ -86,7 +86,7 @@ def test_a_limit_at_its_bounds_is_taken_and_one_with_which_nothing_could_be_lit_
             SafetyConfig(**{field: 0.0})
 
 
-def test_all_limits_that_are_none_are_told_in_one_message():
+def test_all_limits_that_are_none_are_reported_in_one_message():
     with pytest.raises(ConfigError) as caught:
         SafetyConfig(max_flashes_per_s=31.0, max_heat=2.0)
     assert "max_flashes_per_s: found 31, expected a number from 0.5 to 30" in str(caught.value)

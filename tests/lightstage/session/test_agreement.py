@@ -74,7 +74,9 @@ def test_a_whole_session_agrees_with_its_journal(session):
     assert problems_of(session) == ""
 
 
-def test_two_swapped_frames_are_told_by_the_journal_though_all_hashes_were_changed_along(session):
+def test_two_swapped_frames_are_reported_by_the_journal_though_all_hashes_were_changed_along(
+    session,
+):
     swap(session)
     assert check_manifest(session) == []
     text = problems_of(session)
@@ -84,7 +86,7 @@ def test_two_swapped_frames_are_told_by_the_journal_though_all_hashes_were_chang
 
 
 @pytest.mark.parametrize("name", ["subject", "consent", "id", "expression", "created_utc"])
-def test_another_person_or_consent_in_session_json_is_told_by_the_journal(session, name):
+def test_another_person_or_consent_in_session_json_is_reported_by_the_journal(session, name):
     edit(session / "session.json", lambda value: value.update({name: "C-99"}))
     assert f"session.json, {name}: found 'C-99', expected" in problems_of(session)
 
@@ -116,7 +118,7 @@ def test_a_journal_without_its_end_is_an_error(session):
     assert "found shot as its last line, expected end" in problems_of(session)
 
 
-def test_a_journal_that_was_cut_is_told_from_one_that_was_edited(session):
+def test_a_journal_that_was_cut_is_distinguished_from_one_that_was_edited(session):
     path = session / "journal.jsonl"
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     assert any("bytes, cut" in str(problem) for problem in check_manifest(session))
@@ -157,7 +159,7 @@ def resumed(session):
     )
 
 
-def test_resume_of_a_finished_session_says_that_it_is_whole_and_opens_no_device(session):
+def test_resume_of_a_finished_session_reports_that_it_is_whole_and_opens_no_device(session):
     before = {path: path.read_bytes() for path in session.rglob("*") if path.is_file()}
     done = resumed(session)
     assert done.returncode == 0, done.stderr

@@ -30,7 +30,9 @@ def at(seconds, zoned=True):
         (-86400, Verdict.DIFFERS),
     ],
 )
-def test_a_picture_of_another_moment_is_told_and_another_zone_says_nothing(zoned, seconds, says):
+def test_a_picture_of_another_moment_is_reported_and_another_zone_states_nothing(
+    zoned, seconds, says
+):
     assert judge_time(at(seconds, zoned), SHOT, 0.5) is says
 
 
@@ -41,7 +43,7 @@ def test_a_long_exposure_fits_from_its_first_second_to_its_last():
     assert judge_time(at(40), SHOT, 30.0) is Verdict.DIFFERS
 
 
-def test_a_file_without_a_time_says_nothing():
+def test_a_file_without_a_time_states_nothing():
     assert judge_time(None, SHOT, 0.5) is Verdict.UNKNOWN
 
 

@@ -35,7 +35,7 @@ def test_the_advice_fits_what_the_disk_refused(number):
     assert HELPS[number] in refused.value.hint
 
 
-def test_a_refusal_that_nobody_foresaw_is_said_in_the_systems_words():
+def test_a_refusal_that_nobody_foresaw_is_reported_in_the_systems_words():
     with pytest.raises(CaptureError, match=os.strerror(errno.EDOM)) as refused, disk_errors("S"):
         raise OSError(errno.EDOM, os.strerror(errno.EDOM))
     assert refused.value.hint.endswith("then resume.")

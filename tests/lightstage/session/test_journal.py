@@ -120,7 +120,7 @@ def test_listeners_hear_every_line_in_order_when_it_is_on_the_disk(journal, path
     ]
 
 
-def test_a_listener_that_writes_is_told_so_and_not_waited_for_ever(journal):
+def test_a_listener_that_writes_is_reported_and_not_waited_for_ever(journal):
     journal.listeners.append(lambda _: journal.write("note"))
     journal.write("note")
     assert isinstance(journal.broken_listeners[0][1], RuntimeError)
@@ -243,7 +243,7 @@ def test_a_journal_that_was_changed_is_refused(path, damage):
         read_journal(path)
 
 
-def test_no_journal_is_said_so(path):
+def test_no_journal_is_reported_so(path):
     with pytest.raises(FormatError, match="no such file"):
         read_journal(path)
     with pytest.raises(FormatError, match="capture without --resume"):
@@ -288,7 +288,9 @@ def test_where_the_disk_takes_only_a_part_of_a_line_none_of_it_stays(path):
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] != 700
 
 
-def test_a_full_disk_is_said_to_all_who_wait_and_what_was_before_stays(journal, path, monkeypatch):
+def test_a_full_disk_is_reported_to_all_who_wait_and_what_was_before_stays(
+    journal, path, monkeypatch
+):
     journal.write("note")
     before = path.read_bytes()
     real, written_bytes = os.write, itertools.count()

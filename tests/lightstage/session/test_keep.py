@@ -22,7 +22,7 @@ def arrival(tmp_path, dng):
     return Arrival(path, "cam0", size, sha256_on_disk(path), "x+ by cam0", "x+", "cam0")
 
 
-def test_each_step_is_said_when_it_is_done_and_what_it_promises_is_on_the_disk(
+def test_each_step_is_reported_when_it_is_done_and_what_it_promises_is_on_the_disk(
     arrival, monkeypatch
 ):
     lines = []

@@ -128,7 +128,7 @@ def test_each_change_is_one_clear_problem(session, spoil, message):
     assert message in str(problem)
 
 
-def test_all_changes_are_told_at_once(session):
+def test_all_changes_are_reported_at_once(session):
     change(session / "frames/full/cam0.dng")
     (session / "frames/full/cam1.dng").unlink()
     change(session / "rig.json", b" ")
@@ -215,7 +215,7 @@ def test_unacknowledged_light_is_named(tmp_path, small_rig, plan, fill):
     assert manifest(writer.root)["unacknowledged"] == ["x+"]
 
 
-def test_how_often_the_light_changed_is_told_as_it_was_journaled():
+def test_how_often_the_light_changed_is_reported_as_it_was_journaled():
     times = {"begin": [0.0, 0.4, 0.9, 2.5], "resume": [0.1, 0.6, 0.95, 1.05]}
     lines = []
     for event, lit in times.items():

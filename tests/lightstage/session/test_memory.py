@@ -61,10 +61,10 @@ def held_bytes():
 def test_a_photograph_costs_a_capture_less_memory_than_its_lines(nine):
     console = Console(file=io.StringIO(), force_terminal=False)
     operator = TerminalOperator(console, nine.root)
-    operator.told(read_journal(nine.journal.path)[0])
-    nine.listeners.append(operator.told)
+    operator.receive(read_journal(nine.journal.path)[0])
+    nine.listeners.append(operator.receive)
     with EventServer(nine.journal.path, operator.request) as server:
-        nine.listeners.append(server.told)
+        nine.listeners.append(server.receive)
         tracemalloc.start()
         try:
             shoot(nine, range(WARM))

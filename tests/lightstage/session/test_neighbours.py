@@ -19,7 +19,7 @@ def frame(sha256):
     return {"event": "frame", "pattern": "full", "camera": "cam0", "sha256": sha256}
 
 
-def test_a_photograph_of_a_session_beside_is_told_and_an_own_one_is_not(tmp_path):
+def test_a_photograph_of_a_session_beside_is_reported_and_an_own_one_is_not(tmp_path):
     journal(tmp_path / "A", "a", frame(OWN))
     journal(tmp_path / "B", "b", frame(THEIRS), {"event": "recovered", "sha256": LATER})
     beside = Neighbours(tmp_path / "A")

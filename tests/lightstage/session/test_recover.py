@@ -10,7 +10,7 @@ import pytest
 
 from lightstage.cameras.camera import CardFile
 from lightstage.errors import DeviceError
-from lightstage.operator.words import said
+from lightstage.operator.words import notice_of
 from lightstage.session import (
     SessionWriter,
     arrived,
@@ -83,7 +83,7 @@ def test_a_picture_of_a_light_that_may_not_have_lasted_is_kept_aside_and_taken_a
     writer.close()
 
 
-def test_of_an_emptied_card_a_whole_download_is_kept_and_said_to_be_less_certain(desk, begun):
+def test_of_an_emptied_card_a_whole_download_is_kept_and_reported_to_be_less_certain(desk, begun):
     writer, cameras = begun
     data = cameras[0].body.exposed[0]
     writer.incoming("full", "cam0", 1).write_bytes(data)
@@ -217,7 +217,7 @@ def test_a_camera_that_was_started_again_is_looked_at_alone(desk, begun):
     writer.close()
 
 
-def test_a_file_that_nobody_knows_is_said_and_left_alone(desk, begun):
+def test_a_file_that_nobody_knows_is_reported_and_left_alone(desk, begun):
     writer, cameras = begun
     reconcile(writer, cameras)
     stray = desk.root / "frames" / "full" / "holiday.dng"
@@ -236,7 +236,7 @@ def test_pictures_of_before_the_session_are_never_copied(desk, begun):
     writer.close()
 
 
-def test_photographs_of_other_sessions_on_a_card_are_told_once_a_camera(desk, begun):
+def test_photographs_of_other_sessions_on_a_card_are_reported_once_a_camera(desk, begun):
     writer, cameras = begun
     cameras[0].body.shoot_elsewhere(5)
     other = desk.root.parent / "other"
@@ -247,7 +247,9 @@ def test_photographs_of_other_sessions_on_a_card_are_told_once_a_camera(desk, be
     (other / "journal.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     writer.look_beside()
     reconcile(writer, cameras)
-    words = [str(said(line)) for line in lines_of(writer, "note") if said(line).tone != "quiet"]
+    words = [
+        str(notice_of(line)) for line in lines_of(writer, "note") if notice_of(line).tone != "quiet"
+    ]
     assert words == ["cam0: 5 photographs of other sessions on its card, left alone."]
     assert not list((desk.root / "recovered").rglob("*.DNG"))
     writer.close()
@@ -320,7 +322,7 @@ def test_what_is_deleted_on_a_card_is_the_photograph_that_is_kept_and_no_other(d
     writer.close()
 
 
-def test_a_file_that_was_named_before_the_crash_is_ours_whatever_its_camera_says_of_the_time(
+def test_a_file_that_was_named_before_the_crash_is_ours_whatever_its_camera_states_of_the_time(
     desk, plan
 ):
     cameras = [Camera(name, each, Life()) for name, each in desk.bodies.items()]
@@ -358,7 +360,7 @@ def test_two_files_of_one_name_are_both_kept_aside(desk, begun):
     writer.close()
 
 
-def test_what_arrived_on_a_card_is_told_by_name_and_size():
+def test_what_arrived_on_a_card_is_reported_by_name_and_size():
     before = [CardFile("a", 1), CardFile("b", 2)]
     now = [CardFile("b", 3), CardFile("a", 1), CardFile("c", 2)]
     assert arrived(before, now) == (CardFile("b", 3), CardFile("c", 2))

@@ -205,7 +205,7 @@ def test_a_session_of_another_rig_is_not_resumed(writer, small_rig):
         SessionWriter.resumed(writer.root)
 
 
-def test_a_removed_folder_a_full_and_a_read_only_disk_are_said_plainly(
+def test_a_removed_folder_a_full_and_a_read_only_disk_are_reported_plainly(
     writer, keep, dng, monkeypatch, tmp_path, small_rig, plan
 ):
     def refuse(number):

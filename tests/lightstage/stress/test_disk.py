@@ -107,7 +107,7 @@ def test_a_file_where_the_session_should_lie_is_refused(bench, tools):
 
 
 @pytest.mark.parametrize("how", ["removed", "renamed"])
-def test_a_session_folder_that_goes_away_is_told_and_the_cameras_keep_the_photographs(
+def test_a_session_folder_that_goes_away_is_reported_and_the_cameras_keep_the_photographs(
     bench, tools, how
 ):
     child = bench.start()

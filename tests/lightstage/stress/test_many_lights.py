@@ -43,7 +43,7 @@ def test_ten_thousand_lights_are_driven_acknowledged_and_recorded(tmp_path, tool
         assert np.flatnonzero(session.levels("olat-9999")).tolist() == [9999]
 
 
-def test_a_device_of_another_count_of_lights_is_told(tmp_path, tools):
+def test_a_device_of_another_count_of_lights_is_reported(tmp_path, tools):
     rig = many_lights(tools.small_rig(1))
     with tools.bench_of(tmp_path, rig) as bench:
         fewer = dataclasses.replace(rig, lights=rig.lights[:-1])

@@ -47,7 +47,7 @@ class Lamps:
         return self.states[-1] if self.states else []
 
 
-def test_an_operator_who_says_what_shines_finds_every_address():
+def test_an_operator_who_answers_what_shines_finds_every_address():
     rig = make_rig()
     wires = shuffled_wires(rig, 3)
     lamps = Lamps(wires)
@@ -144,7 +144,7 @@ def test_whatever_is_typed_no_channel_is_ever_given_twice(lines):
         ((-9, -9, -9), "135 degrees to the left (behind the person), 35 degrees down"),
     ],
 )
-def test_a_place_is_told_as_the_frontal_camera_sees_it(place, words):
+def test_a_place_is_reported_as_the_frontal_camera_sees_it(place, words):
     assert place_in_words(np.array(place, float)) == words
 
 

@@ -49,7 +49,7 @@ def test_libraw_reads_exactly_the_counts_written(sensor):
         np.testing.assert_allclose(gains * sensor.neutral / gains[1], sensor.neutral[1], rtol=1e-3)
 
 
-def test_libraw_reads_what_the_camera_tells(sensor):
+def test_libraw_reads_what_the_camera_wrote(sensor):
     mosaic = np.full((54, 36), 700, np.uint16)
     with rawpy.imread(io.BytesIO(dng_bytes(mosaic, sensor, EXIF))) as raw:
         assert raw.other.iso_speed == sensor.config.iso
@@ -81,7 +81,7 @@ def test_libraw_develops_a_colour_to_what_it_was(sensor):
     np.testing.assert_allclose(found / found[1], colour / colour[1], rtol=0.01)
 
 
-def test_the_file_is_a_tiff_to_another_reader_and_tells_no_name_or_place(sensor):
+def test_the_file_is_a_tiff_to_another_reader_and_states_no_name_or_place(sensor):
     mosaic = np.random.default_rng(17).integers(0, 16384, (54, 36)).astype(np.uint16)
     with tifffile.TiffFile(io.BytesIO(dng_bytes(mosaic, sensor, EXIF))) as file:
         page = file.pages[0]

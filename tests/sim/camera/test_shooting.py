@@ -140,7 +140,7 @@ def test_a_swaying_subjects_first_photograph_is_where_its_truth_is(world):
     np.testing.assert_allclose(places[0] - places[1], expected[0] - expected[1], atol=0.25)
 
 
-def test_a_direct_session_with_flaws_says_what_was_done(world, tmp_path):
+def test_a_direct_session_with_flaws_states_what_was_done(world, tmp_path):
     lens = LensConfig(vignetting=0.3, blur_um=300.0)
     sway = SwayConfig(sway_mm=3.0)
     flaws = CaptureFlaws(lens=lens, sway=sway, room=RoomConfig(ambient=0.02))
@@ -158,7 +158,7 @@ def test_a_direct_session_with_flaws_says_what_was_done(world, tmp_path):
     np.testing.assert_allclose(read_exr(out / "frames/x+/cam1.exr"), known, rtol=1e-3, atol=1e-6)
 
 
-def test_a_photographer_with_flaws_repeats_itself_and_tells_its_sensors(world):
+def test_a_photographer_with_flaws_repeats_itself_and_states_its_sensors(world):
     flaws = dataclasses.replace(
         PRESETS["bad"], sensor=dataclasses.replace(PRESETS["bad"].sensor, headroom=0.8)
     )

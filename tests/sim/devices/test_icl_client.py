@@ -180,7 +180,7 @@ def test_polarised_lights_are_those_that_our_driver_drives_as_banks(client):
     client("clear-polarized-light", "--arc", "2", "--light", "3")
 
 
-def test_the_server_tells_its_configuration_and_its_mode(client):
+def test_the_server_states_its_configuration_and_its_mode(client):
     assert client("get-mode") == '"Demo"\n'
     config = json.loads(client("get-config"))
     assert (config["num_arcs"], config["lights_per_arc"]) == (12, 14)

@@ -256,7 +256,7 @@ def test_the_command_writes_what_was_lit_and_ends_with_ctrl_c(tmp_path):
     assert "other-id" in (tmp_path / "story.jsonl").read_text()
 
 
-def test_a_port_that_is_taken_or_an_address_that_is_not_here_is_told(run_command):
+def test_a_port_that_is_taken_or_an_address_that_is_not_here_is_reported(run_command):
     with IclServer(lambda _: None) as server:
         port = server.place.rpartition(":")[2]
         ended = run_command("sim", "icl", "--port", port)

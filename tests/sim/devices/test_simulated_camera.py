@@ -79,7 +79,7 @@ def happened(tmp_path):
     return [(happenings.name, happenings.count) for happenings in read_fault_log(tmp_path / "log")]
 
 
-def test_it_tells_everything_that_a_camera_can_be_asked(camera):
+def test_it_reports_everything_that_a_camera_can_be_asked(camera):
     summary = camera(firmware="2.10", owner="A", place="N 48", card_bytes=10**9).summary()
     assert summary.not_readable() == []
     assert (summary.firmware, summary.owner, summary.place) == ("2.10", "A", "N 48")
@@ -163,7 +163,7 @@ def test_a_download_that_is_cut_off_is_begun_again(camera, tmp_path):
     assert (tmp_path / "x").read_bytes() == dng()
 
 
-def test_a_file_that_comes_short_is_told_whole_by_the_card_and_is_whole_when_asked_again(
+def test_a_file_that_comes_short_is_reported_whole_by_the_card_and_is_whole_when_asked_again(
     camera, tmp_path
 ):
     one = camera(Fault("truncated", at=1, share=0.25))

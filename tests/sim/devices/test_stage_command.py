@@ -60,7 +60,7 @@ def test_a_simulated_target_becomes_calibration_shots_that_hold(tmp_path, tiny_r
 def test_lines_that_go_on_with_devices_that_are_gone_are_not_passed_on():
     file = io.StringIO()
     echo = Echo(file)
-    text = "Pose 1 of 2: \n  Go on with: lightstage calibrate x\n  Get it\nq stops: "
+    text = "Pose 1 of 2: \n  To resume: lightstage calibrate x\n  Get it\nq stops: "
     for letter in text:
         echo(letter)
     assert file.getvalue() == "Pose 1 of 2: \n  Get it\nq stops: "
@@ -74,6 +74,6 @@ def test_a_target_too_small_in_the_pictures_is_one_error_and_what_to_do(tmp_path
     )
     assert done.returncode == 2
     assert done.stderr.count("Error: ") == 1
-    assert "Go on with" not in done.stderr
+    assert "To resume" not in done.stderr
     assert "at a larger --scale if the target is too small" in done.stderr
     assert "pose 1 did not do in 6 takes" in done.stderr

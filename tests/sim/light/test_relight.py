@@ -179,7 +179,7 @@ def test_a_portrait_under_patterns_and_environments(
     assert picture.max() > 0.01
 
 
-def test_the_command_writes_a_picture_and_tells_its_facts(
+def test_the_command_writes_a_picture_and_states_its_facts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ball: Subject
 ) -> None:
     from typer.testing import CliRunner

@@ -103,7 +103,7 @@ def test_a_run_that_was_cut_short_goes_on_where_it_stopped(people, tmp_path):
     assert everything == again
 
 
-def test_a_process_that_is_killed_is_told_and_what_is_whole_is_kept(people, tmp_path):
+def test_a_process_that_is_killed_is_reported_and_what_is_whole_is_kept(people, tmp_path):
     def kill_the_worker(*_):
         for child in multiprocessing.active_children():
             os.kill(child.pid, signal.SIGKILL)

@@ -46,7 +46,7 @@ def test_a_sound_scan_passes_untouched_and_its_neck_is_no_hole(egg):
     assert 60 < report.neck_mm < 100
 
 
-def test_centimetres_taken_for_millimetres_are_told_by_the_heads_size(egg):
+def test_centimetres_taken_for_millimetres_are_recognised_by_the_heads_size(egg):
     small = egg.with_vertices(egg.vertices / 10)
     with pytest.raises(
         SimError, match=r"scan.obj, size: found 18.9\d mm .*150 to 700 mm.*--units cm"

@@ -102,7 +102,7 @@ def test_bad_input_exits_2_with_one_message_and_writes_nothing(
     assert list(made.iterdir()) == []
 
 
-def test_something_else_in_the_way_is_told_before_the_work(tmp_path, monkeypatch, capsys):
+def test_something_else_in_the_way_is_reported_before_the_work(tmp_path, monkeypatch, capsys):
     (tmp_path / "me.jpg").write_bytes(b"x")
     for command in (("import-scan", "absent.glb"), ("import-ict", "absent")):
         code, _, error = run(monkeypatch, capsys, *command, "--out", tmp_path)

@@ -77,7 +77,7 @@ def test_a_nodes_transforms_move_the_mesh_and_a_mirror_keeps_its_outside(egg, fi
     )
 
 
-def test_damaged_gltf_is_told_by_file_and_field(egg, files, tmp_path):
+def test_damaged_gltf_is_reported_by_file_and_field(egg, files, tmp_path):
     scene, data = files["gltf_scene"](egg, files["picture_bytes"]())
     path = tmp_path / "scan.glb"
 
@@ -140,7 +140,7 @@ def test_several_colour_textures_are_refused(egg, files, tmp_path):
         read_scan(path)
 
 
-def test_nan_vertices_are_told_by_their_number(egg, files, tmp_path):
+def test_nan_vertices_are_reported_by_their_number(egg, files, tmp_path):
     places = egg.vertices.copy()
     places[3] = np.nan
     broken = egg.with_vertices(places)
@@ -181,7 +181,7 @@ def test_texture_names_with_options_and_spaces_are_read(egg, files, tmp_path):
     np.testing.assert_array_equal(scan.colour.pixels, scan.normals.pixels)
 
 
-def test_linear_and_encoded_pictures_are_told_apart(tmp_path, files):
+def test_linear_and_encoded_pictures_are_distinguished(tmp_path, files):
     write_exr(tmp_path / "a.exr", np.full((4, 4), 0.25, np.float32))
     picture = read_picture(tmp_path / "a.exr")
     assert picture.linear

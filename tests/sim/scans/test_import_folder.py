@@ -65,7 +65,7 @@ def test_a_parametric_person_can_be_kept_in_a_folder(tmp_path):
         load_subject(str(path), 0, "jaw_open")
 
 
-def test_names_folders_and_paths_are_told_apart(folder, tmp_path, monkeypatch):
+def test_names_folders_and_paths_are_distinguished(folder, tmp_path, monkeypatch):
     assert is_folder(str(folder))
     assert is_folder("some/where")
     assert not is_folder("someone")

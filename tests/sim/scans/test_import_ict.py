@@ -246,7 +246,7 @@ def test_ict_is_a_subject_by_name(head_data, person, monkeypatch, tmp_path):
         load_subject("ict", 0)
 
 
-def test_a_clone_that_lacks_shapes_says_which(ict):
+def test_a_clone_that_lacks_shapes_names_which(ict):
     with pytest.raises(SimError, match=r"expression brow_furrow: found no browDown_L, browDown_R"):
         ict_subject("ict", ict / "FaceXModel", 0, "brow_furrow", 96)
     closed = ict_subject("ict", ict / "FaceXModel", 0, "eyes_closed", 96)

@@ -197,7 +197,7 @@ def test_some_unknown_landmarks_are_enough(scan, files, tmp_path):
     assert subject.skin.any()
 
 
-def test_a_scan_in_centimetres_is_told_and_taken_with_its_unit(egg, files, tmp_path):
+def test_a_scan_in_centimetres_is_reported_and_taken_with_its_unit(egg, files, tmp_path):
     small = egg.with_vertices(egg.vertices / 10)
     path = files["write_textured_obj"](tmp_path / "c.obj", small, files["picture_bytes"](ROWS, 64))
     with pytest.raises(SimError, match=r"c.obj, size: found \d+\.?\d* mm .*--units cm"):

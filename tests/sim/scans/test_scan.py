@@ -121,7 +121,7 @@ def test_specular_values_stay_in_skins_range_even_on_odd_albedo():
         assert roughness.max() <= 0.35 + 1e-6
 
 
-def test_an_absent_or_broken_scan_says_so(tmp_path, monkeypatch):
+def test_an_absent_or_broken_scan_reports_it(tmp_path, monkeypatch):
     monkeypatch.setenv("LIGHTSTAGE_DATA", str(tmp_path))
     with pytest.raises(SimError, match="--subject parametric"):
         load_subject("lps", 0)

@@ -219,8 +219,8 @@ class Watching(Unattended):
 
     watch: Callable[[dict[str, Any]], object]
 
-    def told(self, line: Mapping[str, Any], old: bool = False) -> None:
-        super().told(line, old)
+    def receive(self, line: Mapping[str, Any], old: bool = False) -> None:
+        super().receive(line, old)
         self.watch(dict(line))
 
 

@@ -64,12 +64,12 @@ def test_a_picture_that_is_on_the_card_is_fetched_and_not_taken_again(stage, nam
     ],
     ids=lambda value: value.name if isinstance(value, Fault) else "",
 )
-def test_a_camera_that_cannot_go_on_is_told_with_what_to_do_and_nothing_else_is_lost(
+def test_a_camera_that_cannot_go_on_is_reported_with_what_to_do_and_nothing_else_is_lost(
     stage, fault, message
 ):
     ending = stage.capture(fault)
     assert set(ending.happened) == {fault.name}
-    for part in ("x+ by cam1", message, "Go on with: lightstage capture --resume --out"):
+    for part in ("x+ by cam1", message, "To resume: lightstage capture --resume --out"):
         assert part in ending.said
     assert ending.dark
     assert ending.shots() == ["full"]

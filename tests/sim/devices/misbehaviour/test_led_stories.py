@@ -71,7 +71,7 @@ def test_a_bad_line_from_the_first_packet_to_the_last_loses_nothing(stage):
 
 
 @pytest.mark.parametrize("watchdog_s", [None, 0.6])
-def test_a_line_that_drops_everything_ends_the_capture_and_says_that_lights_may_be_on(
+def test_a_line_that_drops_everything_ends_the_capture_and_reports_that_lights_may_be_on(
     stage, watchdog_s
 ):
     stage.watchdog_s = watchdog_s
@@ -87,7 +87,7 @@ def test_a_set_that_was_held_back_does_not_light_the_stage_after_it_was_told_dar
     assert ending.dark
 
 
-def test_a_device_that_dies_leaves_its_lights_on_and_the_operator_is_told(stage):
+def test_a_device_that_dies_leaves_its_lights_on_and_the_operator_is_warned(stage):
     ending = stage.capture(Fault("die", at=STATE_FULL, until=1000))
     refused(ending, "no answer", "The lights may still be on: switch their power supply off")
     assert not ending.dark
@@ -133,7 +133,7 @@ def test_lights_of_which_the_device_says_what_it_was_told_show_in_the_photograph
 ):
     # Broken when x- is lit: x+ and x- no longer sum to full.
     ending = stage.capture(Fault(name, lights=lights, at=SET_X_MINUS))
-    refused(ending, "x-", "Go on with: lightstage capture --resume")
+    refused(ending, "x-", "To resume: lightstage capture --resume")
 
 
 def test_a_wrong_acknowledgement_voids_the_photograph_alone(stage):
@@ -143,7 +143,7 @@ def test_a_wrong_acknowledgement_voids_the_photograph_alone(stage):
     assert ending.kept() == [f"{p}/cam{i}" for p in ("full", "x+", "x-") for i in range(3)]
 
 
-def test_banks_that_make_no_difference_are_told_whatever_the_device_says(stage):
+def test_banks_that_make_no_difference_are_reported_whatever_the_device_reports(stage):
     stage.patterns = ("full@parallel", "full@cross")
     ending = stage.capture(Fault("swapped-bank"))
     # Only the pictures can tell, and these show nothing that mirrors.

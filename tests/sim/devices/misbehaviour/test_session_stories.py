@@ -50,7 +50,7 @@ def test_a_day_with_a_bad_cable_and_a_slow_camera_ends_in_a_whole_session(
         assert len(kept) == len(known)
 
 
-def test_a_day_on_which_a_camera_dies_says_so_and_leaves_no_finished_session(
+def test_a_day_on_which_a_camera_dies_reports_it_and_leaves_no_finished_session(
     world, tmp_path, capfd
 ):
     story = Story([Fault("battery-empty", camera="cam1", at=2)])

@@ -101,7 +101,7 @@ def test_a_camera_that_goes_on_giving_old_pictures_stops_the_capture_with_what_t
     assert "full by cam0" in ending.said
     assert "the bytes of full by cam0" in ending.said
     assert "Switch the camera off and on" in ending.said
-    assert "Go on with: lightstage capture --resume" in ending.said
+    assert "To resume: lightstage capture --resume" in ending.said
     assert ending.lines("end") == []
     assert not (ending.root / "session.json").exists()
     assert ending.dark

@@ -1,4 +1,8 @@
-"""A real headless Chromium, driven over its own pipe (Chrome DevTools Protocol)."""
+"""A real headless Chromium, driven over its own pipe (Chrome DevTools Protocol).
+
+It stands for a person at a page of ours: tests and benchmarks press its keys and read what it
+shows.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-import pytest
+from sim.errors import SimError
 
 QUIET = [
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
@@ -19,6 +23,15 @@ QUIET = [
     "--disable-sync", "--disable-dev-shm-usage", "--mute-audio", "--remote-debugging-pipe",
 ]  # fmt: skip
 ANSWER_S = 60.0
+
+
+class BrowserError(SimError):
+    """A page that does not do what was expected, or a browser that is gone."""
+
+
+def chromium() -> str | None:
+    """The program; None where it is not installed."""
+    return shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 class Browser:
@@ -29,17 +42,25 @@ class Browser:
         width: of the window, pixels.
         height: the same.
         more: options for it, beside `QUIET`.
+
+    Raises:
+        BrowserError: Chromium is not installed.
     """
 
     def __init__(
         self, folder: Path, width: int = 1280, height: int = 900, more: tuple[str, ...] = ()
     ) -> None:
-        program = shutil.which("chromium") or shutil.which("chromium-browser")
+        program = chromium()
         if program is None:
-            pytest.skip("no Chromium: install Debian's package chromium")
+            raise BrowserError(
+                "chromium",
+                found="no such program",
+                expected="a browser",
+                hint="Install Debian's package chromium.",
+            )
         to_read, self._write = os.pipe()
         self._read, to_write = os.pipe()
-        # Chromium reads commands from 3 and writes answers to 4, whatever pytest has open there.
+        # Chromium reads commands from 3 and writes answers to 4, which this process may have open.
         start = 'exec "$@" 3<&"$IN" 4>&"$OUT"'
         self._process = subprocess.Popen(
             ["bash", "-c", start, "chromium", program, *QUIET, *more, f"--user-data-dir={folder}",
@@ -53,7 +74,7 @@ class Browser:
         os.close(to_write)
         self._number, self._pending, self._session = 0, b"", ""
         self.errors: list[str] = []
-        """What the page's code and the browser's console complained of."""
+        """Errors of the page's code and in the browser's console."""
         targets = self._ask("Target.getTargets")["targetInfos"]
         page = next(each for each in targets if each["type"] == "page")
         attached = self._ask("Target.attachToTarget", targetId=page["targetId"], flatten=True)
@@ -83,10 +104,10 @@ class Browser:
 
     def js(self, code: str) -> Any:
         """The value of an expression in the page."""
-        told = self._ask("Runtime.evaluate", expression=code, returnByValue=True)
-        if "exceptionDetails" in told:
-            raise AssertionError(f"{code}: {told['exceptionDetails']}")
-        return told["result"].get("value")
+        answer = self._ask("Runtime.evaluate", expression=code, returnByValue=True)
+        if "exceptionDetails" in answer:
+            raise BrowserError(f"{code}: {answer['exceptionDetails']}")
+        return answer["result"].get("value")
 
     def wait(self, code: str, seconds: float = ANSWER_S) -> None:
         """Wait until an expression is true."""
@@ -95,11 +116,11 @@ class Browser:
             try:
                 if self.js(f"Boolean({code})"):
                     return
-            except AssertionError:  # between two pages
+            except BrowserError:  # between two pages
                 pass
             if time.monotonic() > until:
                 text = self.js("document.body.innerText")
-                raise AssertionError(f"not so within {seconds:g} s: {code}\n{text}\n{self.errors}")
+                raise BrowserError(f"not so within {seconds:g} s: {code}\n{text}\n{self.errors}")
             time.sleep(0.05)
 
     def drag(self, start: tuple[int, int], end: tuple[int, int]) -> None:
@@ -117,7 +138,7 @@ class Browser:
             self._ask("Input.dispatchKeyEvent", type=kind, key=key, **text)
 
     def forget_cookies(self) -> None:
-        """As if the page were of another server: its session is known no longer."""
+        """Make the page's session unknown to its server, as after the server was started again."""
         self._ask("Network.clearBrowserCookies")
 
     def picture(self, path: Path) -> Path:
@@ -133,26 +154,33 @@ class Browser:
             message["sessionId"] = self._session
         os.write(self._write, json.dumps(message).encode() + b"\0")
         while True:
-            told = self._next()
-            if told.get("id") == self._number:
-                assert "error" not in told, told
-                return told["result"]
-            self._notice(told)
+            message = self._next()
+            if message.get("id") == self._number:
+                if "error" in message:
+                    raise BrowserError(f"{method}: {message['error']}")
+                result: dict[str, Any] = message["result"]
+                return result
+            self._notice(message)
 
     def _next(self) -> dict[str, Any]:
         while b"\0" not in self._pending:
             piece = os.read(self._read, 1 << 16)
-            assert piece, "the browser is gone"
+            if not piece:
+                raise BrowserError("the browser is gone")
             self._pending += piece
         raw, self._pending = self._pending.split(b"\0", 1)
-        return json.loads(raw)
+        message: dict[str, Any] = json.loads(raw)
+        return message
 
-    def _notice(self, told: dict[str, Any]) -> None:
-        if told.get("method") == "Runtime.exceptionThrown":
-            self.errors.append(json.dumps(told["params"]["exceptionDetails"])[:500])
-        if told.get("method") == "Runtime.consoleAPICalled" and told["params"]["type"] == "error":
-            self.errors.append(json.dumps(told["params"]["args"])[:500])
-        if told.get("method") == "Log.entryAdded":
-            entry = told["params"]["entry"]
+    def _notice(self, message: dict[str, Any]) -> None:
+        if message.get("method") == "Runtime.exceptionThrown":
+            self.errors.append(json.dumps(message["params"]["exceptionDetails"])[:500])
+        if (
+            message.get("method") == "Runtime.consoleAPICalled"
+            and message["params"]["type"] == "error"
+        ):
+            self.errors.append(json.dumps(message["params"]["args"])[:500])
+        if message.get("method") == "Log.entryAdded":
+            entry = message["params"]["entry"]
             if entry["level"] == "error":
                 self.errors.append(f"{entry['text']} {entry.get('url', '')}")
