@@ -81,13 +81,13 @@ WORKERS = 2
 PROCESSOR_TO_WALL = 759 / 531
 """Of RESULTS.md's session of nine views of 24 megapixels on two cores: with one core a worker, a
 stage takes its processor seconds."""
-VIEWS, RAW_GB, FRAMES_GB, MAPS_GB = 9, 0.34, 0.59, 0.30
-"""A view's photographs, decoded frames and maps."""
+VIEWS, RAW_GB, FRAMES_GB, COARSE_GB, MAPS_GB = 9, 0.34, 0.59, 0.22, 0.30
+"""A view's photographs, decoded frames, coarse maps and exact maps."""
 DISK_GB: dict[str, float] = {
     "decode": VIEWS * (2 * RAW_GB + FRAMES_GB),
-    "separate": VIEWS * (FRAMES_GB + MAPS_GB),
+    "separate": VIEWS * (FRAMES_GB + COARSE_GB),
     "reconstruct": VIEWS * FRAMES_GB,
-    "refine": VIEWS * (FRAMES_GB + 2 * MAPS_GB),
+    "refine": VIEWS * (FRAMES_GB + COARSE_GB + MAPS_GB),
     "register": 0.2,
     "atlas": VIEWS * MAPS_GB + 0.6,
 }

@@ -20,6 +20,7 @@ from lightstage.formats.mesh import Mesh
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
 from lightstage.rig import Camera, Rig
+from processing.coarse_maps import has_coarse
 from processing.frames.read import foreground_path
 from processing.lighting.lights import PatternLights
 from processing.reconstruction.config import ReconstructConfig
@@ -77,7 +78,7 @@ class Case:
         last = whole.camera_ids()[-1]
         if not foreground_path(self.out, last).is_file():
             put_frames(whole, self.out, np.random.default_rng(known.seed), noise)
-        if not (self.out / "views" / last / "diffuse_normal.exr").is_file():
+        if not has_coarse(self.out, last):
             separate(whole, self.out, SeparateConfig())
         count = len(cameras) if kind == light else FRONTAL
         self.session = Session(true.root, true.file, Rig(true.rig.lights, known_cameras[:count]))

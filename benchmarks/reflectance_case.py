@@ -31,6 +31,7 @@ from lightstage.formats.exr import read_exr
 from lightstage.formats.mesh import read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
+from processing.coarse_maps import write_as_views
 from processing.frames.read import Frames, foreground_path, write_foreground, write_frames
 from processing.lighting.facets import BECKMANN, Facets
 from processing.masks import foreground
@@ -93,6 +94,7 @@ class Case:
         """Maps of the coarse pass, with settings of SeparateConfig."""
         config = make_config(SeparateConfig, settings or {}, "benchmark")
         separate(self.session, self.out, config)
+        write_as_views(self.out, self.session.camera_ids())
         return self._maps()
 
     def refined(self, settings: Mapping[str, Any] | None = None) -> dict[str, Maps]:

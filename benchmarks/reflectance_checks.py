@@ -20,6 +20,7 @@ from benchmarks.reflectance_curves import REFINE, Setting, Stage, photographed
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
+from processing.coarse_maps import write_as_views
 from processing.decode.preparation import PrepareConfig
 from processing.decode.stage import DecodeConfig, decode
 from processing.refinement.stage import refine
@@ -73,6 +74,7 @@ def errors(
     """What was found, and errors of the coarse and the refined maps."""
     facts = decode(session, out, DecodeConfig(prepare=config))["sums"]
     separate(session, out, SeparateConfig(forced=True))
+    write_as_views(out, session.camera_ids())
     coarse = stage.errors(out)
     shutil.copy(stage.base_mesh, ProcessedFolder(out).base_mesh)
     refine(session, out, REFINE)

@@ -36,6 +36,7 @@ from lightstage.formats.config import make_config
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
+from processing.coarse_maps import write_as_views
 from processing.decode.preparation import PrepareConfig
 from processing.decode.stage import DecodeConfig, decode
 from processing.refinement.config import RefineConfig
@@ -175,8 +176,10 @@ def measured(stage: Stage, setting: Setting) -> Iterator[tuple[str, dict[str, fl
         decode(session, out, DecodeConfig(prepare=PrepareConfig(forced=True)))
         published = {**PUBLISHED, "forced": True}
         separate(session, out, make_config(SeparateConfig, published, "benchmark"))
+        write_as_views(out, session.camera_ids())
         yield "kampouris", stage.errors(out)
         separate(session, out, SeparateConfig(forced=True))
+        write_as_views(out, session.camera_ids())
         yield "coarse", stage.errors(out)
         shutil.copy(stage.base_mesh, ProcessedFolder(out).base_mesh)
         refine(session, out, REFINE)

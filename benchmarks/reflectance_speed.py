@@ -32,15 +32,16 @@ from benchmarks.reflectance_people import person, session
 from benchmarks.reflectance_refine_parts import refine_parts
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
+from processing.coarse_maps import write_as_view, write_coarse
 from processing.decode.stage import DecodeConfig, decode
-from processing.frames.read import read_foreground, read_frames
+from processing.frames.read import read_foreground, read_frames, write_foreground
 from processing.lighting.lights import pattern_lights
 from processing.parallel import over_views, workers
 from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
 from processing.separation.config import SeparateConfig
 from processing.separation.view import separate_view
-from processing.view_maps import PixelMaps, write_maps
+from processing.view_maps import PixelMaps
 
 R = TypeVar("R")
 VIEWS = 9
@@ -129,12 +130,20 @@ def coarse(root: Path, out: Path, method: str) -> Cost:
 
 
 def written(root: Path, out: Path) -> Cost:
-    """Writing the six maps and the mask."""
-    opened = load_session(root)
-    maps, mask = maps_of(opened, out, "colour"), read_foreground(out, CAMERA)
+    """Writing the six maps for the next stages, and bringing them to the disk."""
+    maps = maps_of(load_session(root), out, "colour")
     with tempfile.TemporaryDirectory() as name:
-        folder = ProcessedFolder(Path(name))
-        return timed(lambda: write_maps(folder, CAMERA, mask, maps), 1, warm=False)
+        return timed(lambda: write_coarse(Path(name), CAMERA, maps), 1, warm=False)
+
+
+def written_to_views(root: Path, out: Path) -> Cost:
+    """Writing the six maps and the mask as they last where a run ends with `separate`."""
+    maps = maps_of(load_session(root), out, "colour")
+    with tempfile.TemporaryDirectory() as name:
+        target = Path(name)
+        write_foreground(target, CAMERA, read_foreground(out, CAMERA))
+        write_coarse(target, CAMERA, maps)
+        return timed(lambda: write_as_view(ProcessedFolder(target), CAMERA), 1, warm=False)
 
 
 def refined(root: Path, out: Path, config: RefineConfig) -> Cost:
@@ -169,11 +178,10 @@ def nine(root: Path, out: Path) -> Cost:
     opened = load_session(root)
     mask = read_foreground(out, CAMERA)
     with tempfile.TemporaryDirectory() as name:
-        folder = ProcessedFolder(Path(name))
 
         def one(view: str) -> int:
             maps = maps_of(opened, out, "colour")
-            write_maps(folder, view, mask, maps)
+            write_coarse(Path(name), view, maps)
             return len(maps.confidence)
 
         views = [f"view{k}" for k in range(VIEWS)]
@@ -182,8 +190,8 @@ def nine(root: Path, out: Path) -> Cost:
 
 
 def bytes_of_view(mask: np.ndarray) -> int:
-    """What a view's maps and one picture being written take at most."""
-    return int(mask.sum()) * 9 * 4 + mask.size * 3 * (4 + 2) * 2
+    """What a view's maps take at most, in float32 and in half floats."""
+    return int(mask.sum()) * 12 * (4 + 2)
 
 
 def moved_bytes(out: Path) -> int:
@@ -237,7 +245,10 @@ def main() -> None:
         if not short:
             for method in ("kampouris", "ratios"):
                 costs[f"plain arrays: method {method}"] = apart(coarse, root, out, method)
-            costs["writing the maps (EXR)"] = apart(written, root, out)
+            costs["writing the coarse maps (half floats in work/)"] = apart(written, root, out)
+            costs["the same as EXR in views/, where a run ends there"] = apart(
+                written_to_views, root, out
+            )
             costs["refine, true mesh, maps written"] = apart(refined, root, out, RefineConfig())
             costs.update(apart(parts, root, out))
             alone = RefineConfig(light_step_mm=0.0)

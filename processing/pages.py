@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from lightstage.formats.half import float_from_half
 from lightstage.formats.processed import ProcessedFolder
+from processing.coarse_maps import has_coarse, read_coarse
 from processing.decode.diagnosis_page import light_section
 from processing.reconstruction.pictures import mesh_section
 from processing.registration.residual import residual_section
@@ -23,6 +25,7 @@ from processing.report import (
     side_by_side,
     write_report,
 )
+from processing.view_maps import MAP_NAMES
 
 THUMBNAIL_PX = 240
 ATLAS_PX = 360
@@ -74,7 +77,7 @@ def write_processed_report(out: Path, report: Mapping[str, Any]) -> Path:
     light = light_section(out, stages.get("decode", {}))
     if light is not None:
         sections.append(light)
-    views = _views(folder)
+    views = _views(folder, refined="refine" in stages)
     if views:
         sections.append(Section("Views", views))
     mesh = mesh_section(out)
@@ -148,15 +151,27 @@ def _short(value: float | int | str) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _views(folder: ProcessedFolder) -> list[str | Picture | Table]:
+def _views(folder: ProcessedFolder, refined: bool) -> list[str | Picture | Table]:
     parts: list[str | Picture | Table] = []
     for name, caption in CAPTIONS.items():
-        cameras = [c for c in folder.view_ids() if folder.view_path(c, name).is_file()]
-        if cameras:
-            shown = [show(name, folder.read_view(camera, name)) for camera in cameras]
-            row = side_by_side([resize(image, THUMBNAIL_PX) for image in shown], THUMBNAIL_PX)
-            parts.append(Picture(row, f"{caption} From left to right: {', '.join(cameras)}.", name))
+        small: dict[str, np.ndarray] = {}
+        for camera in folder.view_ids():
+            image = _view(folder, camera, name, refined)
+            if image is not None:
+                small[camera] = resize(show(name, image), THUMBNAIL_PX)
+        if small:
+            row = side_by_side(list(small.values()), THUMBNAIL_PX)
+            parts.append(Picture(row, f"{caption} From left to right: {', '.join(small)}.", name))
     return parts
+
+
+def _view(folder: ProcessedFolder, camera: str, name: str, refined: bool) -> np.ndarray | None:
+    """A view's map, the coarse one until `refine` has made an exact one; None without any."""
+    if not refined and has_coarse(folder.root, camera):
+        if name not in MAP_NAMES.values():
+            return None
+        return float_from_half(read_coarse(folder.root, camera).picture(name))[0]
+    return folder.read_view(camera, name) if folder.view_path(camera, name).is_file() else None
 
 
 def _atlas(folder: ProcessedFolder) -> list[str | Picture | Table]:

@@ -18,6 +18,7 @@ from lightstage.formats.lock import locked
 from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
 from processing.atlas.stage import AtlasConfig, atlas
+from processing.coarse_maps import has_coarse, write_as_views
 from processing.decode.completing import unmendable_frames, with_complements
 from processing.decode.stage import DecodeConfig, decode, lit_patterns
 from processing.errors import ProcessingError
@@ -51,6 +52,10 @@ STAGES = tuple(STAGE_MODULES)
 WITH_TEMPLATE = ("register", "atlas")
 WITH_NORMALS = ("separate", "refine", "atlas")
 """Stages that photographs from fewer than three directions of light cannot feed."""
+READS_COARSE = ("reconstruct", "refine")
+"""Stages that read the coarse maps of `separate` in OUT/work."""
+VIEWS = "views/"
+"""Maps that last: those of `refine`, or of `separate` where a run ends with it."""
 
 Bar = Callable[[str], contextlib.AbstractContextManager[ProgressCallback]]
 """Given a stage's name, a context with a progress callback, such as `commands.progress_bar`."""
@@ -192,8 +197,11 @@ def run(
         records, inputs, planned = _plan(job, last, only)
         for stage in planned:
             records = _run_stage(job, stage, inputs[stage], records, bar)
+        lacked = _lacks_views(records, last)
+        if lacked:
+            records = _write_views(job, records, bar)
         report = write_report_json(job, records)
-        if planned or lacks_head(out):
+        if planned or lacked or lacks_head(out):
             write_processed_report(out, report)
     return {**report, "ran": planned}
 
@@ -262,7 +270,7 @@ def left_to_do(job: Job, last: str = STAGES[-1]) -> list[str]:
 
 
 def run_next(job: Job, last: str = STAGES[-1], bar: Bar = no_bar) -> tuple[str | None, list[str]]:
-    """Run the first stage that is not up to date; the last one also writes the report.
+    """Run the first stage that is not up to date; after the last one what `run` ends with.
 
     Called until nothing is left it leaves what `run` does, whoever calls it each time.
 
@@ -286,17 +294,20 @@ def run_next(job: Job, last: str = STAGES[-1], bar: Bar = no_bar) -> tuple[str |
             records = _run_stage(job, ran, inputs[ran], records, bar)
             planned = _plan(job, last, None)[2]
         if not planned:
+            if _lacks_views(records, last):
+                records = _write_views(job, records, bar)
             write_processed_report(job.out, write_report_json(job, records))
     return ran, planned
 
 
-def is_reported(out: Path) -> bool:
-    """Whether a folder's report was written after its last stage: a kill may come between."""
+def is_reported(out: Path, last: str) -> bool:
+    """Whether what a run ends with was written after its last stage: a kill may come between."""
     stages, report = out / "stages.json", out / "report.html"
     try:
-        return report.stat().st_mtime_ns >= stages.stat().st_mtime_ns
+        reported = report.stat().st_mtime_ns >= stages.stat().st_mtime_ns
     except FileNotFoundError:
         return False
+    return reported and not _lacks_views(read_records(out), last)
 
 
 class BusyError(ProcessingError):
@@ -325,7 +336,7 @@ def _plan(
     if only:
         return records, inputs, _only(job, only, records, inputs)
     stale = [stage for stage, why in _reasons(job, records, inputs, last).items() if why]
-    return records, inputs, _with_coarse_maps(stale, records)
+    return records, inputs, stale
 
 
 def why(job: Job, last: str = STAGES[-1]) -> dict[str, str | None]:
@@ -334,11 +345,8 @@ def why(job: Job, last: str = STAGES[-1]) -> dict[str, str | None]:
     Raises:
         LightstageError: a folder made from another session, or records that cannot be read.
     """
-    records, inputs, planned = _plan(job, last, None)
-    reasons = _reasons(job, records, inputs, last)
-    if "separate" in planned and reasons["separate"] is None:
-        reasons["separate"] = "refine has overwritten its maps, which a stage after it reads"
-    return reasons
+    records, inputs, _ = _plan(job, last, None)
+    return _reasons(job, records, inputs, last)
 
 
 def _reasons(
@@ -361,6 +369,10 @@ def _only(
         fresh = "decode" in records and records["decode"].key == inputs["decode"].key
         return ["separate"] if fresh else ["decode", "separate"]
     missing = [name for name in before if name not in records]
+    if "separate" in before and stage in READS_COARSE and "separate" not in missing:
+        # An older version wrote coarse maps to views/ alone, where `refine` overwrote them.
+        there = all(has_coarse(job.out, camera) for camera in job.session.camera_ids())
+        missing += [] if there else ["separate"]
     if missing:
         raise ProcessingError(
             f"stage {stage}",
@@ -368,15 +380,7 @@ def _only(
             expected="the stages before it done",
             hint=f"Run `lightstage-processing run SESSION --out OUT --until {before[-1]}` first.",
         )
-    return _with_coarse_maps([stage], records)
-
-
-def _with_coarse_maps(planned: list[str], records: dict[str, Record]) -> list[str]:
-    """Put `separate` before what reads its maps where `refine` has overwritten them."""
-    reads = "reconstruct" in planned or "refine" in planned
-    if reads and "separate" not in planned and "refine" in records:
-        return ["separate", *planned]
-    return planned
+    return [stage]
 
 
 def _run_stage(
@@ -384,6 +388,14 @@ def _run_stage(
 ) -> dict[str, Record]:
     """Run one stage and record it; it and all after it count as not done while it runs."""
     kept = {name: records[name] for name in STAGES[: STAGES.index(stage)] if name in records}
+    if stage == "refine" and "separate" in kept:
+        # From its first file on, what `separate` left in views/ is no longer all there.
+        own = [name for name in kept["separate"].outputs if not name.startswith(VIEWS)]
+        kept["separate"] = dataclasses.replace(kept["separate"], outputs=own)
+    if stage == "separate":
+        # Maps in views/ are of other coarse ones; `refine`, or the run's end, writes them anew.
+        for path in (job.out / VIEWS).glob("*/*.exr"):
+            path.unlink()
     # Before the stage's first file: a folder names its session however early the stage ends.
     write_records(job.out, job.made_from, kept)
     before = files_in(job.out)
@@ -412,6 +424,27 @@ def _stage(job: Job, stage: str, progress: ProgressCallback) -> dict[str, Any]:
     if stage == "register":
         return register(session, out, job.template, config.register, progress)
     return atlas(session, out, job.template, config.atlas, progress)
+
+
+def _lacks_views(records: dict[str, Record], last: str) -> bool:
+    """Whether a run that ends with `separate` has yet to write its maps to views/, where they last.
+
+    Where a later stage is wanted they are not written there: it reads them in OUT/work.
+    """
+    if last != "separate" or "separate" not in records or "refine" in records:
+        return False
+    return not any(name.startswith(VIEWS) for name in records["separate"].outputs)
+
+
+def _write_views(job: Job, records: dict[str, Record], bar: Bar) -> dict[str, Record]:
+    """Write the coarse maps to views/, and record them as outputs of `separate`."""
+    with bar("views") as progress:
+        written = write_as_views(job.out, job.session.camera_ids(), progress)
+    record = records["separate"]
+    record = dataclasses.replace(record, outputs=sorted({*record.outputs, *written}))
+    records = {**records, "separate": record}
+    write_records(job.out, job.made_from, records)
+    return records
 
 
 def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from numba import njit
 
 from lightstage.counting import counted
 from lightstage.formats.half import half_bits
-from lightstage.formats.processed import ProcessedFolder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,9 +69,3 @@ def _paste(mask: np.ndarray, values: np.ndarray, image: np.ndarray) -> None:
                 for c in range(values.shape[1]):
                     image[row, column, c] = half_bits(values[place, c])
                 place += 1
-
-
-def write_maps(folder: ProcessedFolder, camera_id: str, mask: np.ndarray, maps: PixelMaps) -> None:
-    """Write one view's maps, zero outside the (h, w) mask."""
-    for field, name in MAP_NAMES.items():
-        folder.write_view(camera_id, name, pasted(mask, getattr(maps, field)))

@@ -70,7 +70,7 @@ class Answer:
         worker: its address.
         ran: the stage that ran, None where none did.
         left: stages that are not up to date.
-        reported: whether report.html is of the last stage.
+        reported: whether report.html, and maps in views/, are of the last stage.
         facts: the facts of the stages that are done, by name.
         reason: why not, in words, and what to try.
         trace: of a defect of ours, for its report.
@@ -178,7 +178,7 @@ def _work(order: Order, verified: bool | None, worker: str) -> Answer:
         else:
             ran, left = pipeline.run_next(job, order.until, _progress(order))
     facts = {name: record.facts for name, record in read_records(out).items()}
-    reported = pipeline.is_reported(out)
+    reported = pipeline.is_reported(out, order.until)
     return Answer("done", worker, ran, tuple(left), reported, facts)
 
 

@@ -12,9 +12,11 @@ import numpy as np
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
 from lightstage.formats.cameras import approximate_warnings, read_session_cameras
+from lightstage.formats.half import float_from_half
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
+from processing.coarse_maps import read_coarse
 from processing.errors import ReconstructionError
 from processing.frames.read import read_foreground, read_frames
 from processing.lighting.lights import PatternLights, pattern_lights
@@ -87,7 +89,7 @@ def reconstruct(
 
     Args:
         session: for its rig.
-        out: processed folder with decoded frames, foreground masks and views' diffuse normals.
+        out: processed folder with decoded frames, foreground masks and coarse maps.
         config: settings.
         progress: called as views are matched.
         normals: whether the photographs give normals; false matches them as pictures alone.
@@ -243,7 +245,6 @@ def read_views(
     Returns:
         The views, and the lights of their patterns.
     """
-    folder = ProcessedFolder(out)
     rows = max(camera.height_px for camera in session.rig.cameras)
     times = matched_times(rows, config.finest_rows)
     cameras = session.camera_ids()
@@ -253,7 +254,7 @@ def read_views(
     for name in cameras:
         frames, mask = read_frames(out, name), read_foreground(out, name)
         if normals:
-            known = folder.read_view(name, "diffuse_normal")
+            known, _ = float_from_half(read_coarse(out, name).picture("diffuse_normal"))
         else:
             known = np.zeros((*mask.shape, 3), np.float32)
         small.append(small_view(session.rig.camera(name), frames, mask, known, times, wanted))

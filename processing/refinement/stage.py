@@ -30,7 +30,7 @@ from processing.refinement.written import keep_coarse, write_refined
 def refine(
     session: Session, out: Path, config: RefineConfig, progress: ProgressCallback = quiet
 ) -> dict[str, Any]:
-    """Solve reflectance again with the mesh, and overwrite the views' maps and masks.
+    """Solve reflectance again with the mesh, and write the views' maps and masks to OUT/views.
 
     Gloss, light from skin to skin and scattering are found first, from a grid of every view's
     pixels; then each view's pixels are solved one by one. Patterns that cannot be solved

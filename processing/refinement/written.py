@@ -1,4 +1,4 @@
-"""Writing a view's exact maps; coarse ones stay in holes, and where none can be exact."""
+"""Writing a view's exact maps, with coarse ones in holes, or all coarse where none is exact."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Camera
+from processing.coarse_maps import has_coarse, read_coarse, write_as_view
 from processing.lighting.lights import PatternLights
 from processing.parallel import cores
 from processing.refinement.config import RefineConfig
@@ -33,10 +34,10 @@ def write_refined(
     share: float,
     others: np.ndarray | None = None,
 ) -> tuple[int, float]:
-    """Write a view's maps and mask, those of `separate` kept where only they are known.
+    """Write a view's maps and mask, with those of `separate` where only they are known.
 
     Args:
-        folder: may hold the coarse maps.
+        folder: may hold the coarse maps in its work folder.
         camera_id: the view.
         mask: (h, w) bool with n true pixels.
         maps: of these.
@@ -48,23 +49,22 @@ def write_refined(
     Returns:
         How many pixels the view has now, and their mean confidence.
     """
-    every = mask
-    if all(folder.view_path(camera_id, name).is_file() for name in MAP_NAMES.values()):
-        coarse = folder.read_mask(camera_id)
-        every = mask | (coarse if others is None else coarse & ~others)
-    holes = every & ~mask
-    any_hole = bool(holes.any())
+    coarse = read_coarse(folder.root, camera_id) if has_coarse(folder.root, camera_id) else None
+    holes = np.zeros_like(mask) if coarse is None else coarse.mask & ~mask
+    if others is not None:
+        holes &= ~others
+    every, any_hole = mask | holes, bool(holes.any())
     confidence = float(maps.confidence.sum(dtype=float))
 
     def write(field: str, name: str) -> float:
         """Write one map; the sum of the coarse values that it keeps."""
         image, kept = pasted(mask, getattr(maps, field)), 0.0
-        if any_hole:
-            coarse = folder.read_half_view(camera_id, name)[holes].astype(np.float32)
+        if coarse is not None and any_hole:
+            known = coarse.values(name)[holes[coarse.mask]].astype(np.float32)
             if field == "confidence":
-                coarse *= np.float32(share)
-            image[holes] = coarse
-            kept = float(coarse.sum(dtype=float))
+                known *= np.float32(share)
+            image[holes] = known
+            kept = float(known.sum(dtype=float))
         folder.write_view(camera_id, name, image)
         return kept
 
@@ -90,10 +90,10 @@ def keep_coarse(
     occluders: Mesh | None = None,
     progress: ProgressCallback = quiet,
 ) -> dict[str, Any]:
-    """Write the mesh's ambient occlusion beside the coarse maps, which stay as they are.
+    """Write the coarse maps as they are, since these last, and the mesh's ambient occlusion.
 
     Args:
-        folder: with the maps of `separate`.
+        folder: with the maps of `separate` in its work folder.
         mesh: mm, world.
         lights: of the session's patterns.
         seen_by: cameras and their (h, w) bool foregrounds.
@@ -117,12 +117,13 @@ def keep_coarse(
     confidence: dict[str, float] = {}
     pixels = 0
     for done, (camera, foreground) in enumerate(seen_by, 1):
-        mask = folder.read_mask(camera.id)
+        coarse = write_as_view(folder, camera.id)
+        mask = coarse.mask
         sight = see(surface, camera, foreground)
         occlusion = np.ones(mask.shape, np.float32)
         occlusion[sight.mask] = sight.occlusion
         folder.write_view(camera.id, "ambient_occlusion", np.where(mask, occlusion, 0))
-        trust = folder.read_view(camera.id, "confidence")[mask]
+        trust = coarse.values("confidence").astype(np.float32)
         confidence[camera.id] = round(float(trust.mean()), 4) if len(trust) else 0.0
         pixels += len(trust)
         progress(done, len(seen_by))

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
+from processing.coarse_maps import write_coarse
 from processing.errors import ProcessingError
 from processing.frames.read import read_foreground, read_frames
 from processing.lighting.lights import PatternLights, pattern_lights
@@ -17,7 +17,6 @@ from processing.parallel import over_views, workers
 from processing.separation.choice import chosen_method
 from processing.separation.config import SeparateConfig, normals_of, relief_of
 from processing.separation.view import separate_view
-from processing.view_maps import write_maps
 
 BYTES_A_PIXEL, BYTES_OF_ARRAYS = 50, 400
 """What a view takes at most for a pixel of its picture: by the one pass of `colour`, and by methods
@@ -34,7 +33,7 @@ COLOUR_SPREAD = 0.02
 def separate(
     session: Session, out: Path, config: SeparateConfig, progress: ProgressCallback = quiet
 ) -> dict[str, Any]:
-    """Write coarse diffuse albedo, specular albedo, normals and confidence of every view.
+    """Write every view's coarse maps to OUT/work: albedos, normals, roughness, confidence.
 
     Returns:
         Facts: method, normals, lights, views, pixels, mean confidence, share of pixels that are
@@ -44,7 +43,6 @@ def separate(
         ProcessingError: patterns that no method, or not the chosen one, can separate; more than
             `MOST_ILL_POSED` of the face ill-posed though it is well lit.
     """
-    folder = ProcessedFolder(out)
     cameras = session.camera_ids()
     confidence: dict[str, float] = {}
     ill_posed: dict[str, float] = {}
@@ -60,8 +58,7 @@ def separate(
         mask = read_foreground(out, camera_id)
         camera = session.rig.camera(camera_id)
         maps = separate_view(method, frames, mask, camera, lights, config)
-        write_maps(folder, camera_id, mask, maps)
-        folder.write_mask(camera_id, mask)
+        write_coarse(out, camera_id, maps)
         found = maps.confidence
         return float(found.mean()), float((found < 0.5).mean()), len(found)
 
@@ -80,13 +77,13 @@ def separate(
         found = f"{100 * share:.0f} % of the face ill-posed ({worst}: {ill_posed[worst]:.0%})"
         dim = _face_reading(out, worst)
         fault = ProcessingError(
-            out / "views",
+            out / "work" / "coarse",
             field="confidence",
             found=found,
             expected=f"at most {100 * MOST_ILL_POSED:g} %",
             hint="Do the photographs show the patterns that session.json names, and do the rig's "
-            "lamps where it has them? `lightstage check SESSION` and views/CAMERA/"
-            "confidence.exr show more. --force continues.",
+            "lamps where it has them? `lightstage check SESSION` shows more. --force continues, "
+            "and the report then shows the maps.",
         )
         if dim < DIM:
             warnings.append(

@@ -14,6 +14,7 @@ from lightstage.formats.config import make_config
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
 from lightstage.rig import default_rig
+from processing.coarse_maps import write_as_views
 from processing.decode.stage import DecodeConfig, decode
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
@@ -50,6 +51,7 @@ def separated(
     """Facts of the stage, and errors on skin seen at less than 60 degrees or so."""
     session, out = people[sequence]
     facts = separate(load_session(session), out, make_config(SeparateConfig, told, "test"))
+    write_as_views(out, ["cam0"])
     truth, found = ProcessedFolder(truth_path(session)), ProcessedFolder(out)
     skin = truth.read_mask("cam0") & (found.read_view("cam0", "confidence") > 0.5)
 

@@ -19,6 +19,7 @@ from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
 from processing.albedo import diffuse_light, specular_evidence
+from processing.coarse_maps import write_as_views
 from processing.decode.stage import DecodeConfig, decode
 from processing.frames.read import Frames, read_frames, write_foreground, write_frames
 from processing.normals import chroma_signal, solve_normals
@@ -150,6 +151,7 @@ def both_stages(session: Path, out: Path) -> dict[str, dict[str, np.ndarray]]:
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         separate(loaded, out, SeparateConfig(forced=True))
+        write_as_views(out, [CAMERA.id])
         found["separate"] = maps_of(out)
         write_ply(mesh(), ProcessedFolder(out).base_mesh)
         refine(loaded, out, CONFIG)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,10 +12,12 @@ from scipy import sparse
 
 from lightstage.errors import FormatError
 from lightstage.formats.processed import ProcessedFolder
+from processing.coarse_maps import write_coarse
+from processing.frames.read import write_foreground
 from processing.rays import MeshRays
 from processing.refinement.gloss import smooth
 from processing.refinement.written import write_refined
-from processing.view_maps import MAP_NAMES, PixelMaps, write_maps
+from processing.view_maps import MAP_NAMES, PixelMaps
 
 
 def maps_of(count: int, value: float) -> PixelMaps:
@@ -22,12 +26,17 @@ def maps_of(count: int, value: float) -> PixelMaps:
     return PixelMaps(*three, *one)
 
 
+def written_coarse(out: Path, mask: np.ndarray, value: float) -> None:
+    """A view's coarse maps, all of one value."""
+    write_foreground(out, "a", mask)
+    write_coarse(out, "a", maps_of(int(mask.sum()), value))
+
+
 def test_coarse_maps_fill_the_meshs_holes(tmp_path) -> None:
     folder = ProcessedFolder(tmp_path)
     coarse, mask = np.zeros((2, 6, 5), bool)
     coarse[1:4], mask[2:6, 1:] = True, True
-    write_maps(folder, "a", coarse, maps_of(15, 0.5))
-    folder.write_mask("a", coarse)
+    written_coarse(tmp_path, coarse, 0.5)
     count, mean = write_refined(folder, "a", mask, maps_of(16, 0.25), np.full(16, 0.75), 0.5)
     only = coarse & ~mask
     assert count == 16 + only.sum()
@@ -53,7 +62,7 @@ def test_without_coarse_maps_there_are_the_meshs_pixels_alone(tmp_path) -> None:
 def test_pixels_of_an_occluder_keep_no_coarse_maps(tmp_path) -> None:
     folder = ProcessedFolder(tmp_path)
     everywhere, mask = np.ones((4, 4), bool), np.zeros((4, 4), bool)
-    write_refined(folder, "a", everywhere, maps_of(16, 0.5), np.ones(16), 0.5)
+    written_coarse(tmp_path, everywhere, 0.5)
     mask[0], others = True, np.zeros((4, 4), bool)
     others[2:] = True
     assert write_refined(folder, "a", mask, maps_of(4, 0.5), np.ones(4), 0.5, others)[0] == 8
