@@ -74,7 +74,8 @@ class DataConfig:
         shadow_rows: rows of the grid that shadows and ambient occlusion are baked on; 0 for
             neither.
         target: `one` environment for the whole training, around which all inputs and all draws of
-            the rendering loss lie, as published; or `each` set of a scan has its own.
+            the rendering loss lie, as published; or `each` set of a scan has its own, unless the
+            lights have a target.
         shadow_sets: sets of light positions per scan around the one target, or targets per scan.
         specular_frame: specular normals are in the shape's `tangent` space, as published, or
             in the axes of the `head`.
@@ -209,7 +210,8 @@ class PatchData:
         self._lights, self._variation = lights, variation
         self._options = ShadeOptions(mode)
         self._draws = draws
-        self._target = target_environment(lights, mode, seed) if config.target == "one" else None
+        one = config.target == "one" or lights.target is not None
+        self._target = target_environment(lights, mode, seed) if one else None
         self._patches: collections.OrderedDict[tuple[int, int, int], Region]
         self._patches = collections.OrderedDict()
         self._whole: dict[int, Region] = {}

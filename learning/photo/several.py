@@ -36,7 +36,7 @@ BORDER_SHARE = 1 / 100
 LEAST_OVERLAP = 1e-3
 """Share of the texels that two photographs must both show, to measure their difference."""
 MOST_APART = 1.0
-"""Difference of two logarithms, less what is smooth, above which the later photograph shows
+"""Difference of two photographs' logarithms, less its median, above which the later one shows
 something else there than skin."""
 
 
@@ -96,8 +96,9 @@ def join(views: list[View]) -> Joined:
         log, mask = under_first(first, views[index])
         both = mask & seen
         if both.mean() > LEAST_OVERLAP:
+            other = _other_things(log - whole, both)
+            mask, both = mask & ~other, both & ~other
             log = log - _smooth(log - whole, both)
-            mask = mask & ~(both & (np.abs(log - whole).max(axis=2) > MOST_APART))
         logs.append(log)
         masks.append(mask)
         order.append(index)
@@ -140,6 +141,17 @@ def under_first(first: View, other: View) -> tuple[np.ndarray, np.ndarray]:
 def _log(image: np.ndarray) -> np.ndarray:
     """(rows, columns, 3) natural logarithm of an image, finite where that is black."""
     return np.log(np.maximum(image, 0) + DARK, dtype=np.float32)
+
+
+def _other_things(apart: np.ndarray, both: np.ndarray) -> np.ndarray:
+    """(rows, columns) bool, where of two photographs one shows a hand or hair, and around it."""
+    typical = np.median(apart[both], axis=0)
+    far = both & (np.abs(apart - typical).max(axis=2) > MOST_APART)
+    reach = max(1, round(BORDER_SHARE * len(both)))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    # Single texels are features that lie a little apart.
+    lump = cv2.morphologyEx(far.astype(np.uint8), cv2.MORPH_OPEN, disc)
+    return both & (cv2.dilate(lump, disc) > 0)
 
 
 def _smooth(apart: np.ndarray, both: np.ndarray) -> np.ndarray:
