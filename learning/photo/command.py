@@ -52,7 +52,7 @@ class FitRequest:
     """What `fit` is asked for.
 
     Attributes:
-        photographs: of one person; the first gives the texture.
+        photographs: of one person; the light of the first is the texture's.
         template: folder.
         out: folder to make.
         landmarks: file with the points of each photograph; detected where None.
@@ -262,9 +262,10 @@ def _facts(
             "landmark_px": found.residual_px,
             "landmarks_used": float((found.used > 0.25).mean()),
             "expression": dict(zip(names, found.expression.tolist(), strict=True)),
+            "texture_percent": float(100 * (fitted.source == index).mean()),
         }
-        for photograph, camera, found in zip(
-            photographs, shape.cameras, shape.landmarks.photographs, strict=True
+        for index, (photograph, camera, found) in enumerate(
+            zip(photographs, shape.cameras, shape.landmarks.photographs, strict=True)
         )
     ]
     face = shape.model.face
