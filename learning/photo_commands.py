@@ -100,7 +100,8 @@ def fit(
     first = facts["photographs"][0]
     finish(
         f"{out}: {facts['rows']} x {facts['columns']} texels, {facts['seen_percent']:.0f} % from "
-        f"{counted(len(facts['photographs']), 'photograph')}, landmarks {first['landmark_px']:.1f} px, "
+        f"{counted(len(facts['photographs']), 'photograph')}, "
+        f"landmarks {first['landmark_px']:.1f} px, "
         + ("no light found, " if facts["lamps"] is None else f"{counted(facts['lamps'], 'lamp')}, ")
         + f"{facts['seconds']:.1f} s"
         + "".join(f"; {note}" for note in facts["notes"]),

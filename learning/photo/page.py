@@ -38,8 +38,8 @@ def write_page(path: Path, photographs: list[Photograph], fitted: FittedHead) ->
         others.append(
             Picture(
                 _sources(fitted, len(photographs)),
-                "Which photograph each texel of the texture was mostly taken from, the first one in "
-                "the darkest colour; black was filled. All were brought to the light of the first.",
+                "Which photograph each texel was mostly taken from, the first in the darkest "
+                "colour; black was filled. All were brought to the light of the first.",
             )
         )
         sections.append(Section("The other photographs", others))

@@ -18,7 +18,7 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.mesh import Mesh, write_obj
 from lightstage.formats.template import default_template_path, load_template
 
-ROWS, COLUMNS, PEOPLE = 96, 64, 4
+ROWS, COLUMNS, PEOPLE = 96, 64, 2
 CAMERA_MM = np.array([0.0, 0.0, 1100.0])
 LIGHT = LightSet(
     "known",
@@ -34,6 +34,7 @@ class Domain:
 
     folder: Path
     textures: list[np.ndarray]
+    albedos: list[np.ndarray]
     meshes: list[Mesh]
 
 
@@ -48,7 +49,7 @@ def domain(network: WholeFaceNetwork, tmp_path_factory: pytest.TempPathFactory) 
     template = load_template(default_template_path())
     rng = np.random.default_rng(4)
     folder = tmp_path_factory.mktemp("domain")
-    textures, meshes = [], []
+    textures, albedos, meshes = [], [], []
     for index in range(PEOPLE):
         along = rng.normal(size=len(network.mode_deviations))
         beside = np.einsum(
@@ -80,5 +81,6 @@ def domain(network: WholeFaceNetwork, tmp_path_factory: pytest.TempPathFactory) 
         write_exr(own / "texture.exr", texture)
         write_obj(mesh, own / "registered_mesh.obj")
         textures.append(texture)
+        albedos.append(maps["diffuse_albedo"])
         meshes.append(mesh)
-    return Domain(folder, textures, meshes)
+    return Domain(folder, textures, albedos, meshes)
