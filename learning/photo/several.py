@@ -26,8 +26,15 @@ SHARP = 8.0
 99.6 %."""
 FACING = 2.0
 """Power of the cosine to the camera in a photograph's worth."""
-RELIT = 0.6
-"""Worth of a photograph whose light was replaced, of the first one's."""
+RELIT = 0.2
+"""Worth of a photograph whose light was replaced, of the first one's: there it is taken where the
+first one sees a texel at less than half the cosine."""
+GRAZING = 0.35
+"""Cosine to its camera below which a later photograph is not taken: the fitted outline is never
+quite the person's, and what is beside it comes in."""
+MOST_GAIN = 4.0
+"""Ratio of the first one's light to a photograph's above which it is not taken: noise would grow,
+and an error of the shape with it."""
 SMOOTH_SHARE = 1 / 40
 """Standard deviation over which two photographs' difference is measured, of a texture's rows:
 features that lie a little apart in the two are smaller."""
@@ -124,17 +131,22 @@ def join(views: list[View]) -> Joined:
 def under_first(first: View, other: View) -> tuple[np.ndarray, np.ndarray]:
     """A photograph's logarithm under the first one's light, and where that says something.
 
-    It says nothing where its own light is too dark to be divided by, and at the edges of its own
-    shadows, which are never quite in place.
+    It says nothing at grazing angles, where its light is too dark to be divided by, and at edges of
+    shadows, which are never quite in place: its own, and the first one's where that shows the texel
+    itself.
 
     Returns:
         (rows, columns, 3), and (rows, columns) bool.
     """
     log = _log(other.texture)
+    seen = other.seen & (other.facing > GRAZING)
     if first.model is None or other.model is None:
-        return log, other.seen
-    level = other.model.mean(axis=2)
-    known = other.seen & lit_enough(level, other.seen) & ~light_edges(level, other.seen)
+        return log, seen
+    level, wanted = other.model.mean(axis=2), first.model.mean(axis=2)
+    known = seen & lit_enough(level, other.seen) & ~light_edges(level, other.seen)
+    known &= (wanted + DARK < MOST_GAIN * (level + DARK)) & ~(
+        first.seen & light_edges(wanted, first.seen)
+    )
     return log + _log(first.model) - _log(other.model), known
 
 

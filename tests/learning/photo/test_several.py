@@ -77,7 +77,7 @@ def test_each_texel_is_that_of_the_photograph_that_faces_it() -> None:
 
 def test_a_photograph_of_fewer_pixels_gives_way() -> None:
     first, second = view(FIRST, slice(0, 64), 0.8), view(FIRST, slice(0, 64), 0.8)
-    few = View(first.texture, first.seen, first.facing, 0.2, first.model)
+    few = View(first.texture, first.seen, first.facing, 0.1, first.model)
     assert (join([few, second]).source[10:-10, 10:-10] == 1).all()
 
 
