@@ -4,7 +4,8 @@
 people of ICT's model, the scanned head) under lights of the simulator, finds their faces and fits
 them, by their landmarks alone and by their pixels too. The error of a shape is the mean distance of
 corresponding vertices of the face after the best similarity; ICT's people and the scan correspond
-as far as their registration does. Along the normal no correspondence is needed.
+as far as their registration does. Along the normal no correspondence is needed. ``--texture`` holds
+one photograph against three as one texture.
 """
 
 from __future__ import annotations
@@ -17,11 +18,21 @@ import numpy as np
 
 from benchmarks.networks_lights import light_of
 from benchmarks.networks_people import KINDS, Head, chosen, make
+from benchmarks.photo_texture import (
+    CASES,
+    FIRST,
+    HEADER,
+    Sums,
+    measure_texture,
+    whole,
+)
+from benchmarks.photo_texture import YAWS_DEG as YAWS
 from benchmarks.record import record, table
 from learning.checkpoint import load_whole_face, shipped_weights
 from learning.photo.config import FitConfig
 from learning.photo.fit import FittedHead, Photograph, Places, fit_head, fit_shape
 from learning.photo.model import NOSE_TIP, shape_model
+from learning.render.uv import UvRaster, rasterise
 from learning.render.view import render_view
 from lightstage.faces import detect_faces
 from lightstage.faces.schemes import FACE_MESH, seen_points
@@ -224,8 +235,12 @@ def main() -> None:
     parser.add_argument("--scale", type=float, default=1.0, help="of the photographs' size")
     parser.add_argument("--unseen", action="store_true", help="the half of ICT's people kept apart")
     parser.add_argument("--shape-alone", action="store_true", help="without light and texture")
+    parser.add_argument("--texture", action="store_true", help="one against three photographs")
     arguments = parser.parse_args()
     template = load_template(default_template_path())
+    if arguments.texture:
+        write_texture(arguments, template)
+        return
     rows = []
     for kind in arguments.people.split(","):
         scores = Scores()
@@ -262,6 +277,47 @@ def main() -> None:
         "similarity, mm, and its part along the normal."
     )
     record(title, header, rows, note)
+
+
+def write_texture(arguments: argparse.Namespace, template: Template) -> None:
+    """One photograph against three of each person, as one texture."""
+    points = template.face_points
+    assert points is not None, "the template has no mediapipe468.json"
+    there = points.triangles[:, 0] >= 0
+    places = Places(points.triangles[there], points.weights[there], points.spread_mm[there])
+    raster = rasterise(template.mesh, arguments.rows, arguments.rows * 2 // 3)
+    near = raster.interpolate(scored(template)[:, None].astype(float))[..., 0] > 0.5
+    body = []
+    for kind in arguments.people.split(","):
+        sums = {case: Sums() for case in CASES}
+        people = chosen([kind], arguments.count, arguments.unseen)
+        for who in people:
+            head = make(who, arguments.rows)
+            shown = dataclasses.replace(head, shown=raster_of(head).covered)
+            shots = {}
+            for light, yaw in {key for case in CASES.values() for key in case}:
+                lit = whole(head.image(head.lit.under(light_of(light, NUMBER))), head)
+                shots[light, yaw] = photograph(shown, lit, yaw, there, arguments.scale)
+            measure_texture(head, near & head.skin, shots, template, places, arguments.rows, sums)
+        name = f"{kind}, unseen half" if arguments.unseen and kind == "ict" else kind
+        body += [sums[case].row(f"{name} ({len(people)})", case) for case in CASES]
+    if arguments.scale != 1.0:
+        print(table(HEADER, body))
+        return
+    record(
+        "One texture from several photographs" + (", the unseen half" * arguments.unseen),
+        HEADER,
+        body,
+        f"`python -m benchmarks.photo --texture`: photographs of {WIDTH_PX} x {HEIGHT_PX} px, yaw "
+        f"{', '.join(map(str, YAWS))} degrees, light {FIRST}, or the other two under front and "
+        f"warm-cool; textures of {arguments.rows} rows. PSNR of sRGB values, over skin of the face "
+        "and over all skin of the head.",
+    )
+
+
+def raster_of(head: Head) -> UvRaster:
+    """A head's texels."""
+    return rasterise(head.mesh, *head.shown.shape)
 
 
 def _row(name: str, scores: Scores) -> list[str]:

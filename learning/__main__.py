@@ -15,7 +15,7 @@ from typing import Annotated
 
 import typer
 
-from learning import experiment_commands, head_commands, photo_commands
+from learning import domain_commands, experiment_commands, head_commands, photo_commands
 from lightstage.commands import (
     ConsentsOption,
     JsonFlag,
@@ -34,6 +34,7 @@ app = make_app("Render skin, train the networks, infer reflectance.")
 photo_commands.register(app)
 head_commands.register(app)
 experiment_commands.register(app)
+domain_commands.register(app)
 
 MapsOption = Annotated[Path, typer.Option(help="Folder of atlas maps.")]
 MeshOption = Annotated[Path, typer.Option(help="Mesh with the maps' UV, in their axes.")]
@@ -251,6 +252,13 @@ def train(
     resume: Annotated[bool, typer.Option(help="Go on from the run's checkpoint.")] = False,
     device: DeviceOption = "auto",
     consents: Path | None = ConsentsOption,
+    environment: Annotated[
+        Path | None,
+        typer.Option(
+            help="Light of the textures that the network is for, such as `domain-light` writes: "
+            "all people are lit around it."
+        ),
+    ] = None,
     as_json: bool = JsonFlag,
 ) -> None:
     """Train a network on a dataset; some people are held out and scored."""
@@ -274,13 +282,14 @@ def train(
                 device,
                 processes,
                 consents,
+                environment,
             )
     except KeyboardInterrupt:
         if not processes.first:
             raise
         given = {"--data": data, "--out": out, "--preset": preset, "--config": config}
         given |= {"--seconds": seconds, "--seed": seed, "--device": device}
-        given |= {"--consents": consents}
+        given |= {"--consents": consents, "--environment": environment}
         raise stopped_training(out, given, processes) from None
     if not processes.first:
         return

@@ -25,6 +25,7 @@ from learning.checkpoint import (
 from learning.clock import DATA, IDLE, NETWORK, PARTS, RENDERING
 from learning.data import DataConfig
 from learning.devices import choose_device, memory_of
+from learning.domain.command import read_target_light
 from learning.errors import MapsError
 from learning.four.config import FourTrainConfig
 from learning.four.infer import infer_four
@@ -214,10 +215,14 @@ def train_command(
     device_name: str = "auto",
     processes: Processes = ALONE,
     consents: Path | None = None,
+    environment: Path | None = None,
 ) -> dict[str, Any]:
     """Train, as one of the processes; returns the facts."""
     device = choose_device(device_name, processes.local_rank)
     overrides = read_toml(config) if config else {}
+    if environment is not None:
+        target = dataclasses.asdict(read_target_light(environment))
+        overrides["lights"] = {**overrides.get("lights", {}), "target": target}
     if seconds is not None:
         overrides["seconds"] = seconds
     if seed is not None:

@@ -77,7 +77,8 @@ class DataConfig:
         shadow_rows: rows of the grid on which shadows and ambient occlusion are baked; 0 for
             neither.
         target: `one` environment for the whole training, near which all inputs and all draws of
-            the rendering loss are, as published; or `each` set of a scan has its own.
+            the rendering loss are, as published; or `each` set of a scan has its own, unless the
+            lights have a target.
         shadow_sets: number of sets of light positions per scan around the one target, or of targets
             per scan.
         specular_frame: specular normals are in the shape's `tangent` space, as published, or
@@ -216,7 +217,8 @@ class PatchData:
         self._options = ShadeOptions(mode)
         self._draws = draws
         self._shadows = shadows
-        self._target = target_environment(lights, mode, seed) if config.target == "one" else None
+        one = config.target == "one" or lights.target is not None
+        self._target = target_environment(lights, mode, seed) if one else None
         self._patches: collections.OrderedDict[tuple[int, int, int], Region]
         self._patches = collections.OrderedDict()
         self._whole: dict[int, Region] = {}

@@ -11,9 +11,12 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from learning.networks.generator import GeneratorConfig
 from learning.networks.whole_face import WholeFaceConfig
 from learning.photo.config import FitConfig
+from learning.render.environments import TargetLight
 from learning.render.occlusion_network import ROWS_MULTIPLE, OcclusionNetworkConfig
 from learning.upscale.network import RcanConfig
 from lightstage.counting import counted
@@ -47,6 +50,12 @@ LIMITS: dict[str, tuple[float, float]] = {
     "lights.position_spread": (0, 0.99),
     "lights.camera_spread": (0, 0.99),
     "lights.intensity_spread": (0, 0.99),
+    "domain.textures": (1, 1000),
+    "domain.seconds": (1, 86400),
+    "domain.rounds": (1, 100),
+    "domain.steps": (0, 100_000),
+    "domain.rate": (_POSITIVE, 1),
+    "domain.shadow_steps": (1, 100_000),
     "augment.melanin": (0, 3),
     "augment.haemoglobin": (0, 3),
     "augment.pattern": (0, 3),
@@ -148,13 +157,17 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
     """Refuse a configuration whose numbers are out of bounds.
 
     Args:
-        config: a TrainConfig, one of its tables, or a FitConfig (`table` is ``fit``).
+        config: a TrainConfig, one of its tables, a FitConfig (`table` is ``fit``) or a DomainConfig
+            (``domain``).
         where: what to name in an error.
         table: the name of `config` within a TrainConfig; nothing for all of it.
 
     Raises:
         ConfigError: a number out of its bounds, or one that does not fit the others.
     """
+    if isinstance(config, TargetLight):
+        _require_target(config, where, table)
+        return
     for field in dataclasses.fields(config):
         name = f"{table}.{field.name}" if table else field.name
         value = getattr(config, field.name)
@@ -186,6 +199,38 @@ def _require(value: Any, name: str, where: str | Path) -> None:
         most = "a finite number" if high == _ANY else f"at most {high:g}"
         order = ", the smaller first" if len(numbers) > 1 else ""
         raise ConfigError(where, field=name, found=str(value), expected=f"{least}, {most}{order}")
+
+
+def _require_target(light: TargetLight, where: str | Path, table: str) -> None:
+    """A target light has lamps away from the head, each with a colour, of no absurd strength."""
+    places, rgb = (np.array(each, float).reshape(-1, 3) for each in (light.position_mm, light.rgb))
+    most, least = LIMITS["lights.lights"][1], LIMITS["lights.camera_mm"][0]
+    farthest = LIMITS["lights.camera_mm"][1]
+    if not 1 <= len(places) <= most or len(places) != len(rgb):
+        raise ConfigError(
+            where,
+            field=f"{table}.position_mm",
+            found=f"{counted(len(places), 'lamp')}, {counted(len(rgb), 'colour')}",
+            expected=f"1 to {most:g} lamps, and a colour of each",
+        )
+    for name, at in (("position_mm", places), ("camera_mm", np.array([light.camera_mm]))):
+        away = np.linalg.norm(at, axis=1)
+        if not ((away >= least) & (away <= farthest)).all():
+            raise ConfigError(
+                where,
+                field=f"{table}.{name}",
+                found=f"a distance of {away.min():g} to {away.max():g} mm",
+                expected=f"{least:g} to {farthest:g} mm from the head's origin",
+            )
+    low, high = 0.0, LIMITS["lights.exposure"][1]
+    values = np.concatenate([rgb.ravel(), np.array(light.ambient_rgb)])
+    if not ((values >= low) & (values <= high)).all():
+        raise ConfigError(
+            where,
+            field=f"{table}.rgb",
+            found=f"{values.min():g} to {values.max():g}",
+            expected=f"{low:g} to {high:g}",
+        )
 
 
 def _require_fit(config: FitConfig, where: str | Path) -> None:

@@ -124,7 +124,9 @@ def groups_around(
 
 
 def target_environment(lights: RandomLightConfig, mode: Mode, seed: int) -> Environment:
-    """The one target of a training: as many lights as there may be, of the seed."""
+    """The one target of a training: that of the configuration, else lights of the seed."""
+    if lights.target is not None:
+        return lights.target.environment(mode == "paper")
     rng = np.random.default_rng([seed, 5])
     places = random_lights(rng, lights, lights.lights)
     return random_environment(rng, lights, places, mode == "paper")

@@ -20,8 +20,8 @@ from lightstage.formats.access import group_of, limited_access
 PhotosArgument = Annotated[
     list[Path],
     typer.Argument(
-        help="Photographs of one person: JPEG, PNG, TIFF or linear .exr. Shape comes from all, the "
-        "texture from the first."
+        help="Photographs of one person: JPEG, PNG, TIFF or linear .exr. Shape and texture come "
+        "from all, in the light of the first."
     ),
 ]
 FaceTemplateOption = Annotated[
@@ -100,7 +100,8 @@ def fit(
     first = facts["photographs"][0]
     finish(
         f"{out}: {facts['rows']} x {facts['columns']} texels, {facts['seen_percent']:.0f} % from "
-        f"the photograph, landmarks {first['landmark_px']:.1f} px, "
+        f"{counted(len(facts['photographs']), 'photograph')}, "
+        f"landmarks {first['landmark_px']:.1f} px, "
         + ("no light found, " if facts["lamps"] is None else f"{counted(facts['lamps'], 'lamp')}, ")
         + f"{facts['seconds']:.1f} s"
         + "".join(f"; {note}" for note in facts["notes"]),
@@ -117,8 +118,8 @@ def avatar(
     photo: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Photographs of one person: JPEG, PNG, TIFF or linear .exr. Shape comes from all, "
-            "the texture from the first."
+            help="Photographs of one person: JPEG, PNG, TIFF or linear .exr. Shape and texture "
+            "come from all, in the light of the first."
         ),
     ] = None,
     maps: Annotated[

@@ -26,13 +26,16 @@ from lightstage.tiff import Reader
 
 TIFF_HEADS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 BITS = (8, 16)
-RGB, YCBCR = 2, 6
+BLACK_IS_ZERO, RGB, YCBCR = 1, 2, 6
 """PhotometricInterpretation of pictures that are taken [TIFF1992]."""
 _PNG_ALPHA, _PNG_COLOUR = 4, 2
 """Bits of a PNG's colour type."""
 SRGB_GAMMA = 45455
 """A PNG's gAMA for sRGB, times 100,000."""
 EXPECTED = "red, green and blue of 8 or 16 bits"
+MOST_PIXELS = 300_000_000
+"""Of a picture: a header that claims more would take all memory before the picture is known to be
+damaged."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,24 +83,30 @@ def developed_kind(path: Path) -> str | None:
     return None
 
 
-def read_developed(path: Path) -> Developed:
+def read_developed(path: Path, *, grey: bool = False) -> Developed:
     """Read a JPEG, PNG or TIFF.
+
+    Args:
+        path: the file.
+        grey: take a grey picture too, as three equal colours with sRGB's curve.
 
     Raises:
         FormatError: another kind of file, a damaged one, transparent, grey or CMYK, of other than 8
-            or 16 bits, or of a colour profile that cannot be used.
+            or 16 bits, of more than `MOST_PIXELS`, or of a colour profile that cannot be used.
         OSError: the file cannot be read.
     """
     kind = developed_kind(path)
     data = path.read_bytes()
     if kind == "JPEG":
-        _check_jpeg(data, path)
+        _check_jpeg(data, path, grey)
     elif kind == "PNG":
-        _check_png(data, path)
+        _check_png(data, path, grey)
     elif kind != "TIFF":
         raise FormatError(path, found="another kind of file", expected="a JPEG, PNG or TIFF")
-    profile, opaque = _check_tiff(data, path) if kind == "TIFF" else (None, False)
+    profile, opaque = _check_tiff(data, path, grey) if kind == "TIFF" else (None, False)
     pixels, embedded = _decoded(data, path)
+    if grey and pixels.ndim == 2:
+        pixels, profile, embedded = np.repeat(pixels[..., None], 3, axis=2), None, None
     codes = _colours(pixels, path, opaque=opaque)
     exif = read_exif(path)
     if kind != "TIFF" and exif.orientation is not None:  # OpenCV turns TIFFs itself
@@ -125,14 +134,26 @@ def _refused(path: Path, found: str, hint: str = "") -> FormatError:
 _CMYK = "Printing inks do not give light: export the picture as RGB with 16 bits."
 
 
-def _check_jpeg(data: bytes, path: Path) -> None:
+def _check_size(width: int, height: int, path: Path) -> None:
+    """Refuse what its header says is too large to be decoded."""
+    if width * height > MOST_PIXELS:
+        raise FormatError(
+            path,
+            found=f"{width} x {height} pixels",
+            expected=f"at most {MOST_PIXELS // 10**6} megapixels",
+            hint="Make the picture smaller.",
+        )
+
+
+def _check_jpeg(data: bytes, path: Path, grey: bool = False) -> None:
     reader = Reader(io.BytesIO(data))
     for marker, place, size in segments(reader, 2):
         if marker in FRAMES and size >= 6:
-            bits, _, _, components = struct.unpack(">BHHB", reader.bytes_at(place, 6))
+            bits, height, width, components = struct.unpack(">BHHB", reader.bytes_at(place, 6))
+            _check_size(width, height, path)
             if components == 4:
                 raise _refused(path, "a JPEG in CMYK", _CMYK)
-            if components != 3:
+            if components != 3 and not (grey and components == 1):
                 raise _refused(path, "a grey JPEG" if components == 1 else "no colours")
             if bits != 8:
                 raise _refused(path, f"a JPEG of {bits} bits")
@@ -140,11 +161,12 @@ def _check_jpeg(data: bytes, path: Path) -> None:
     raise _damaged(path)
 
 
-def _check_png(data: bytes, path: Path) -> None:
+def _check_png(data: bytes, path: Path, grey: bool = False) -> None:
     if len(data) < 26:
         raise _damaged(path)
+    _check_size(*struct.unpack(">II", data[16:24]), path)
     bits, colour_type = data[24], data[25]
-    if not colour_type & _PNG_COLOUR:
+    if not colour_type & _PNG_COLOUR and not (grey and colour_type == 0):
         raise _refused(path, "a grey PNG")
     if bits not in BITS:
         raise _refused(path, f"a PNG of {bits} bits")
@@ -165,7 +187,7 @@ def _check_gamma(data: bytes, path: Path) -> None:
         )
 
 
-def _check_tiff(data: bytes, path: Path) -> tuple[bytes | None, bool]:
+def _check_tiff(data: bytes, path: Path, grey: bool = False) -> tuple[bytes | None, bool]:
     """A TIFF's ICC profile, and whether what it has beside three colours is no transparency."""
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
@@ -174,12 +196,15 @@ def _check_tiff(data: bytes, path: Path) -> tuple[bytes | None, bool]:
             photometric, bits = int(page.photometric), int(page.bitspersample)
             samples, format_ = int(page.samplesperpixel), int(page.sampleformat)
             extra = [int(e) for e in page.extrasamples]
+            width, height = int(page.imagewidth), int(page.imagelength)
     # Damaged directories end tifffile in errors of many kinds.
     except Exception:
         raise _damaged(path) from None
     if photometric == 5:
         raise _refused(path, "a TIFF in CMYK", _CMYK)
-    if photometric not in (RGB, YCBCR) or samples - len(extra) != 3:
+    _check_size(width, height, path)
+    plain = grey and photometric == BLACK_IS_ZERO and samples == 1
+    if not plain and (photometric not in (RGB, YCBCR) or samples - len(extra) != 3):
         what = "grey" if samples - len(extra) == 1 else f"of colours of kind {photometric}"
         raise _refused(path, f"a TIFF that is {what}")
     if bits not in BITS or format_ != 1:

@@ -21,8 +21,10 @@ from learning.checkpoint import (
 from learning.errors import MapsError
 from learning.limits import require_within
 from learning.mesostructure.infer import TrainedMesostructure
+from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
 from learning.photo.fit import FittedHead, Photograph, Places, fit_head
+from learning.photo.grey import coloured, has_no_colour
 from learning.photo.page import write_page
 from learning.photo.picture import read_photograph
 from lightstage.commands import ProgressCallback
@@ -52,7 +54,7 @@ class FitRequest:
     """The options of `fit`.
 
     Attributes:
-        photographs: of one person; the first gives the texture.
+        photographs: of one person; the light of the first is the texture's.
         template: folder.
         out: folder to make.
         landmarks: file with the points of each photograph; detected where None.
@@ -95,6 +97,7 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
     template = load_template(request.template)
     photographs, places, notes = read_all(request, template)
     network, _ = load_whole_face(about.folder)
+    photographs = [_with_colour(each, network, notes) for each in photographs]
     meso, about_meso = load_mesostructure(shipped_mesostructure())
     fitted = fit_head(
         photographs,
@@ -136,6 +139,18 @@ def read_all(request: FitRequest, template: Template) -> tuple[list[Photograph],
                 "is less certain (--focal-35mm)"
             )
     return photographs, marks.places, notes
+
+
+def _with_colour(photograph: Photograph, network: WholeFaceNetwork, notes: list[str]) -> Photograph:
+    """A photograph; one in black and white has the mean person's colour, and a note says so."""
+    if not has_no_colour(photograph.rgb_linear):
+        return photograph
+    notes.append(
+        f"{photograph.name} is black and white: the colour of its skin is the mean person's, not "
+        "the photograph's"
+    )
+    rgb = coloured(photograph.rgb_linear, network)
+    return dataclasses.replace(photograph, rgb_linear=rgb)
 
 
 class Marks:
@@ -262,9 +277,10 @@ def _facts(
             "landmark_px": found.residual_px,
             "landmarks_used": float((found.used > 0.25).mean()),
             "expression": dict(zip(names, found.expression.tolist(), strict=True)),
+            "texture_percent": float(100 * (fitted.source == index).mean()),
         }
-        for photograph, camera, found in zip(
-            photographs, shape.cameras, shape.landmarks.photographs, strict=True
+        for index, (photograph, camera, found) in enumerate(
+            zip(photographs, shape.cameras, shape.landmarks.photographs, strict=True)
         )
     ]
     face = shape.model.face

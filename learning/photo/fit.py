@@ -1,9 +1,10 @@
 """One photograph, or several of one person, to a head: shape, camera, light and texture.
 
 Landmarks give the camera and the shape, which pixels and outlines change where the configuration
-has rounds for them. The first photograph is then brought into the template's texture; the
-whole-face network and refinement (`learning.whole`) find its light and the skin under it, which
-also fills what the photograph does not show: the skin there, under the same light.
+has rounds for them. The photographs are then brought into the template's texture, and to the light
+of the first (`learning.photo.several`); the whole-face network and refinement (`learning.whole`)
+find this light and the skin under it, which also fills what no photograph shows: the skin there,
+under the same light.
 """
 
 from __future__ import annotations
@@ -19,15 +20,17 @@ from learning.maps import SHININESS, TRANSLUCENCY, TexturedHead, skin_maps_from
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
-from learning.photo.enlarge import Enlarged, enlarged
+from learning.photo.enlarge import Enlarged, enlarged, texels_a_pixel
 from learning.photo.foreground import foreground
 from learning.photo.landmark_fit import LandmarkFit, Problem, Sighting, camera_of
 from learning.photo.model import ShapeModel, shape_model
 from learning.photo.pixel_fit import PixelFit
+from learning.photo.several import Joined, View, join
 from learning.photo.unwrap import Unwrapped, unwrap
 from learning.relight import lit_texture, shadows_of
 from learning.render.uv import UvRaster, rasterise
 from learning.upscale.network import Rcan
+from learning.whole.detail import enlarged as resized
 from learning.whole.gaps import continued
 from learning.whole.infer import infer_whole_face
 from lightstage.commands import ProgressCallback, quiet
@@ -119,25 +122,27 @@ class Shape:
 
 @dataclasses.dataclass(frozen=True)
 class FittedHead:
-    """A head as the first photograph shows it.
+    """A head as its photographs show it, in the light of the first.
 
     Attributes:
         shape: the person.
-        texture: (rows, columns, 3) float32 linear, with the photograph's light in it, whole.
-        seen: (rows, columns) bool, taken from the photograph; the rest is filled.
+        texture: (rows, columns, 3) float32 linear, with the first photograph's light in it, whole.
+        seen: (rows, columns) bool, taken from the photographs; the rest is filled.
+        source: (rows, columns) int16, the photograph that shows it most, from 0; -1 where filled.
         confidence: (rows, columns) float32, 0..1, of the texture: the cosine to the camera where it
             was seen, 0 where it was filled.
         inferred: the maps of the skin, in the head frame.
         light: of the photograph, head frame; None where none explained it.
         misfit: root mean square of the difference between the photograph and the model under its
             light, over the seen texels, sRGB-like (natural logarithms); NaN without a light.
-        masked: share of the face's seen texels that were found to be no skin.
+        masked: share of the face's texels in the first photograph that were found to be no skin.
         notes: what a user should know, a line each.
     """
 
     shape: Shape
     texture: np.ndarray
     seen: np.ndarray
+    source: np.ndarray
     confidence: np.ndarray
     inferred: Inferred
     light: LightSet | None
@@ -250,10 +255,10 @@ def fit_head(
     progress: ProgressCallback = quiet,
     super_resolution: Rcan | None = None,
 ) -> FittedHead:
-    """Fit a head to photographs of one person; shape from all, texture and light from the first.
+    """Fit a head to photographs of one person; shape and texture from all, light of the first.
 
     Args:
-        photographs: the first one gives the texture.
+        photographs: the first one's light is the texture's.
         template: whose topology and UV the head has.
         places: of the landmarks on it.
         network: in evaluation mode.
@@ -263,110 +268,203 @@ def fit_head(
         super_resolution: enlarges a photograph of fewer pixels than texels.
 
     Raises:
-        MapsError: see `fit_shape`; a photograph that shows too little of the face.
+        MapsError: see `fit_shape`; a first photograph that shows too little of the face.
     """
-    steps = config.rounds + 2
+    steps = len(photographs) + 3
     shape = fit_shape(photographs, template, places, config, network=network)
     progress(1, steps)
-    photograph, mesh, camera = photographs[0], shape.meshes[0], shape.cameras[0]
-    person = foreground(photograph.rgb_linear, mesh, shape.model.face, camera)
-    vertices = shape.model.face
-    coarse = _Texels(photograph, mesh, camera, COARSE_ROWS, person, vertices)
-    face = coarse.raster.interpolate(shape.model.face[:, None].astype(float))[..., 0] > 0.5
-    share = (coarse.unwrapped.seen & face).sum() / max(face.sum(), 1)
-    if share < LEAST_SEEN:
-        raise MapsError(
-            photograph.name,
-            found=f"{100 * share:.0f} % of the face",
-            expected=f"{100 * LEAST_SEEN:.0f} % or more",
-            hint="Take a photograph from farther in front.",
-        )
-    keep = features(template, coarse.raster)
-    skin = coarse.unwrapped.seen
-    for done in range(config.rounds - 1):
-        found = coarse.inferred(network, skin, FIRST_SECONDS, camera, None)
-        other = no_skin(found.maps["diffuse_albedo"], network, skin, keep)
-        before, skin = skin, coarse.unwrapped.seen & ~other
-        progress(2 + done, steps)
-        if (before != skin).mean() < 1e-3:
-            break
-    texels = _Texels(photograph, mesh, camera, config.rows, person, vertices, super_resolution)
-    masked = 1 - (skin & face).sum() / max((coarse.unwrapped.seen & face).sum(), 1)
-    size = texels.raster.covered.shape[::-1]
-    allowed = cv2.resize((coarse.unwrapped.seen & ~skin).astype(np.float32), size) < 0.5
-    seen = texels.unwrapped.seen & allowed
-    inferred = texels.inferred(network, seen, config.refine_seconds, camera, mesostructure)
+    notes: list[str] = []
+    several = len(photographs) > 1
+    looked: list[_Looked] = []
+    for index, photograph in enumerate(photographs):
+        found = _look(photograph, shape, index, template, network, config.rounds, several)
+        if found.share >= LEAST_SEEN:
+            looked.append(found)
+        elif index == 0:
+            raise MapsError(
+                photograph.name,
+                found=f"{100 * found.share:.0f} % of the face",
+                expected=f"{100 * LEAST_SEEN:.0f} % or more",
+                hint="Take a photograph from farther in front.",
+            )
+        else:
+            notes.append(
+                f"{photograph.name} shows {100 * found.share:.0f} % of the face: it tells the "
+                "shape, not the texture"
+            )
+        progress(2 + index, steps)
+    texels = [_Texels(each, config.rows, shape.model.face, super_resolution) for each in looked]
+    together = _together(looked, texels)
+    seen, first, camera = together.seen, texels[0], shape.cameras[0]
+    inferred = first.inferred(
+        network, together.texture, seen, config.refine_seconds, camera, mesostructure
+    )
     progress(steps - 1, steps)
-    notes = list(inferred.notes)
+    notes += inferred.notes
     model = None
     if inferred.light is not None:
-        model = _lit(texels, inferred, inferred.light, camera)
-    texture = joined(texels.unwrapped.texture, seen, texels.raster.covered, model)
-    misfit = float("nan") if model is None else _misfit(texels.unwrapped.texture, model, seen)
+        model = _lit(first.raster, first.mesh, inferred.maps, inferred.light, camera)
+    texture = joined(together.texture, seen, first.raster.covered, model)
+    misfit = float("nan") if model is None else _misfit(together.texture, model, seen)
     if model is None:
         notes.append(
-            f"{photograph.name}: no light was found that explains it; what it does not show was "
+            f"{first.name}: no light was found that explains it; what it does not show was "
             "continued from what it shows"
         )
-    if texels.enlarged:
-        notes.append(
-            f"{photograph.name} has fewer pixels than the texture has texels: super-resolution "
-            "enlarged it"
-        )
-    confidence = np.where(seen, np.clip(texels.unwrapped.facing, 0, 1), 0).astype(np.float32)
+    notes += [
+        f"{each.name} has fewer pixels than the texture has texels: super-resolution enlarged it"
+        for each in texels
+        if each.enlarged
+    ]
+    confidence = np.where(seen, np.clip(together.facing, 0, 1), 0).astype(np.float32)
+    # As the caller numbers them: photographs that show too little are left out.
+    numbers = np.array([*(each.index for each in looked), -1], np.int16)
     progress(steps, steps)
     return FittedHead(
         shape,
         texture,
         seen,
+        numbers[together.source],
         confidence,
         inferred,
         inferred.light,
         misfit,
-        float(masked),
+        looked[0].masked,
         tuple(notes),
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Looked:
+    """A photograph at the coarse size: what of it is skin, and its light.
+
+    Attributes:
+        photograph: itself.
+        index: of the photograph.
+        mesh: the person as it shows them.
+        camera: of it.
+        person: (h, w) bool, its pixels that show the person.
+        share: of the face that it shows.
+        other: (rows, columns) bool, texels that it shows and that are no skin.
+        masked: share of these in the face.
+        found: skin and light; None where they were not asked for.
+    """
+
+    photograph: Photograph
+    index: int
+    mesh: Mesh
+    camera: Camera
+    person: np.ndarray
+    share: float
+    other: np.ndarray
+    masked: float
+    found: Inferred | None
+
+
+def _look(
+    photograph: Photograph,
+    shape: Shape,
+    index: int,
+    template: Template,
+    network: WholeFaceNetwork,
+    rounds: int,
+    light: bool,
+) -> _Looked:
+    """Find in a photograph what is skin, and its light where it is asked for."""
+    mesh, camera, vertices = shape.meshes[index], shape.cameras[index], shape.model.face
+    person = foreground(photograph.rgb_linear, mesh, vertices, camera)
+    nothing = np.zeros((COARSE_ROWS, COARSE_ROWS * 2 // 3), bool)
+    looked = _Looked(photograph, index, mesh, camera, person, 0.0, nothing, 0.0, None)
+    coarse = _Texels(looked, COARSE_ROWS, vertices)
+    face = coarse.raster.interpolate(vertices[:, None].astype(float))[..., 0] > 0.5
+    shown = coarse.unwrapped.seen
+    share = float((shown & face).sum() / max(face.sum(), 1))
+    if share < LEAST_SEEN:
+        return dataclasses.replace(looked, share=share)
+    keep = features(template, coarse.raster)
+    skin, found = shown, None
+    texture = coarse.unwrapped.texture
+    settled = False
+    for _ in range(rounds - 1):
+        found = coarse.inferred(network, texture, skin, FIRST_SECONDS, camera, None)
+        other = no_skin(found.maps["diffuse_albedo"], network, skin, keep)
+        before, skin = skin, shown & ~other
+        settled = bool((before != skin).mean() < 1e-3)
+        if settled:
+            break
+    if light and not settled:
+        found = coarse.inferred(network, texture, skin, FIRST_SECONDS, camera, None)
+    masked = float(1 - (skin & face).sum() / max((shown & face).sum(), 1))
+    return dataclasses.replace(looked, share=share, other=shown & ~skin, masked=masked, found=found)
+
+
+def _together(looked: list[_Looked], texels: list[_Texels]) -> Joined:
+    """The texture of all photographs in the light of the first."""
+    views = []
+    for each, own in zip(looked, texels, strict=True):
+        rows, columns = own.raster.covered.shape
+        model = None
+        if len(looked) > 1 and each.found is not None and each.found.light is not None:
+            model = _coarse_model(looked[0], each, each.found.light)
+        allowed = resized(each.other.astype(np.float32), rows, columns) < 0.5
+        views.append(
+            View(
+                own.unwrapped.texture,
+                own.unwrapped.seen & allowed,
+                own.unwrapped.facing,
+                own.pixels,
+                None if model is None else resized(model, rows, columns),
+            )
+        )
+    return join(views)
+
+
+def _coarse_model(first: _Looked, each: _Looked, light: LightSet) -> np.ndarray | None:
+    """(rows, columns, 3) the first photograph's skin in the light of each, at the coarse size."""
+    if first.found is None:
+        return None
+    rows, columns = first.found.maps["diffuse_albedo"].shape[:2]
+    raster = rasterise(each.mesh, rows, columns)
+    maps = {name: first.found.maps[name] for name in ("diffuse_albedo", "specular_albedo")}
+    normal = raster.normals(each.mesh)
+    maps |= {"diffuse_normal": normal, "specular_normal": normal}
+    return _lit(raster, each.mesh, maps, light, each.camera)
 
 
 class _Texels:
     """A photograph in the texels of its mesh."""
 
     def __init__(
-        self,
-        photograph: Photograph,
-        mesh: Mesh,
-        camera: Camera,
-        rows: int,
-        person: np.ndarray,
-        face: np.ndarray,
-        super_resolution: Rcan | None = None,
+        self, looked: _Looked, rows: int, face: np.ndarray, super_resolution: Rcan | None = None
     ) -> None:
-        self.name, self.mesh = photograph.name, mesh
-        self.raster: UvRaster = rasterise(mesh, rows, rows * 2 // 3)
-        shown = Enlarged(photograph.rgb_linear, person, camera)
+        self.name, self.mesh = looked.photograph.name, looked.mesh
+        camera, person = looked.camera, looked.person
+        self.raster: UvRaster = rasterise(self.mesh, rows, rows * 2 // 3)
+        shown = Enlarged(looked.photograph.rgb_linear, person, camera)
+        self.pixels = 1 / max(texels_a_pixel(self.mesh, self.raster, face, camera), 1e-6)
         if super_resolution is not None:
             larger = enlarged(
-                shown.rgb_linear, person, mesh, self.raster, face, camera, super_resolution
+                shown.rgb_linear, person, self.mesh, self.raster, face, camera, super_resolution
             )
             shown = shown if larger is None else larger
         self.enlarged = shown.camera is not camera
         self.unwrapped: Unwrapped = unwrap(
-            shown.rgb_linear, mesh, self.raster, shown.camera, shown.person
+            shown.rgb_linear, self.mesh, self.raster, shown.camera, shown.person
         )
 
     def inferred(
         self,
         network: WholeFaceNetwork,
+        texture: np.ndarray,
         shown: np.ndarray,
         seconds: float,
         camera: Camera,
         mesostructure: TrainedMesostructure | None,
     ) -> Inferred:
         """Skin and light of the texels that are shown."""
-        texture = np.where(shown[..., None], self.unwrapped.texture, 0)
         return infer_whole_face(
             network,
-            texture.astype(np.float32),
+            np.where(shown[..., None], texture, 0).astype(np.float32),
             self.mesh,
             np.eye(3, 4),
             (self.name, "the fitted mesh"),
@@ -442,13 +540,15 @@ def joined(
     return (texture * covered[..., None]).astype(np.float32)
 
 
-def _lit(texels: _Texels, inferred: Inferred, light: LightSet, camera: Camera) -> np.ndarray:
-    """(rows, columns, 3) the skin that was found under the light that was found."""
-    covered = texels.raster.covered
-    maps = {**inferred.maps, "position": texels.raster.interpolate(texels.mesh.vertices)}
+def _lit(
+    raster: UvRaster, mesh: Mesh, maps: dict[str, np.ndarray], light: LightSet, camera: Camera
+) -> np.ndarray:
+    """(rows, columns, 3) a skin under a light, from where a camera stands."""
+    covered = raster.covered
+    maps = {**maps, "position": raster.interpolate(mesh.vertices)}
     ones = np.ones(covered.shape, np.float32)
     skin = skin_maps_from(maps, covered, SHININESS * ones, TRANSLUCENCY * ones)
-    head = TexturedHead(texels.mesh, texels.raster, skin, covered)
+    head = TexturedHead(mesh, raster, skin, covered)
     return lit_texture(head, light, camera.centre_mm, None, shadows_of(head, light))
 
 

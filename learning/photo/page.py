@@ -35,6 +35,13 @@ def write_page(path: Path, photographs: list[Photograph], fitted: FittedHead) ->
         for p, c in zip(photographs[1:], shape.cameras[1:], strict=True)
     ]
     if others:
+        others.append(
+            Picture(
+                _sources(fitted, len(photographs)),
+                "Which photograph each texel was mostly taken from, the first in the darkest "
+                "colour; black was filled. All were brought to the light of the first.",
+            )
+        )
         sections.append(Section("The other photographs", others))
     deviation = np.where(shape.model.face, shape.deviation_mm, np.nan)
     sections += [
@@ -61,8 +68,8 @@ def write_page(path: Path, photographs: list[Photograph], fitted: FittedHead) ->
                             display(_small(fitted.inferred.maps["diffuse_albedo"], LARGEST_PX)),
                         ]
                     ),
-                    "Left: the texture with the photograph's light, whole. Middle: where it was "
-                    "taken from the photograph (white is seen from in front); the rest is filled "
+                    "Left: the texture with the first photograph's light, whole. Middle: where it "
+                    "was taken from a photograph (white is seen from in front); the rest is filled "
                     "with the skin that was found, under the light that was found. Right: the "
                     "skin's diffuse albedo.",
                 )
@@ -89,7 +96,7 @@ def _over(photograph: Photograph, fitted: FittedHead) -> Section:
             ["landmarks, root mean square", f"{taken.residual_px:.2f} px"],
             ["focal length", f"{taken.focal_px:.0f} px"],
             ["distance of the camera", f"{np.linalg.norm(taken.offset_mm):.0f} mm"],
-            ["texture taken from the photograph", f"{100 * fitted.seen.mean():.0f} %"],
+            ["texture taken from photographs", f"{100 * fitted.seen.mean():.0f} %"],
             ["of the face, found to be no skin", f"{100 * fitted.masked:.0f} %"],
             ["photograph over its model, logarithm", f"{fitted.misfit:.2f}"],
         ],
@@ -110,6 +117,17 @@ def _over(photograph: Photograph, fitted: FittedHead) -> Section:
             *fitted.notes,
         ],
     )
+
+
+def _sources(fitted: FittedHead, count: int) -> np.ndarray:
+    """Which of so many photographs each texel shows, in colours."""
+    share = (fitted.source + 1) / max(count, 1)
+    codes = np.round(255 * share).astype(np.uint8)
+    coloured = cv2.applyColorMap(codes, cv2.COLORMAP_VIRIDIS)[..., ::-1]
+    coloured = np.where((fitted.source >= 0)[..., None], coloured, 0).astype(np.uint8)
+    scale = min(1.0, LARGEST_PX / max(coloured.shape[:2]))
+    size = (round(coloured.shape[1] * scale), round(coloured.shape[0] * scale))
+    return cv2.resize(coloured, size, interpolation=cv2.INTER_NEAREST)
 
 
 def _light(fitted: FittedHead) -> Section:

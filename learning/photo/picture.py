@@ -23,7 +23,7 @@ FOCAL_RANGE = (0.3, 30.0)
 
 
 def read_photograph(path: Path, film_mm: float | None = None) -> tuple[np.ndarray, float | None]:
-    """Read a JPEG, PNG or TIFF (its profile or sRGB is undone), or a linear OpenEXR.
+    """Read a JPEG, PNG or TIFF (its profile or sRGB is undone; grey too), or a linear OpenEXR.
 
     Args:
         path: the file.
@@ -43,7 +43,7 @@ def read_photograph(path: Path, film_mm: float | None = None) -> tuple[np.ndarra
         if rgb.ndim != 3:
             raise MapsError(path, found="one channel", expected="R G B")
     else:
-        rgb = read_developed(path).rgb
+        rgb = read_developed(path, grey=True).rgb
     height, width = rgb.shape[:2]
     if min(height, width) < SMALLEST_PX:
         raise MapsError(

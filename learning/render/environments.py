@@ -35,6 +35,32 @@ class Environment:
 
 
 @dataclasses.dataclass(frozen=True)
+class TargetLight:
+    """One environment in numbers, as a training's configuration keeps it; head frame.
+
+    Attributes:
+        position_mm: of each lamp.
+        rgb: of each lamp, see `Environment`.
+        ambient_rgb: of the light from everywhere.
+        camera_mm: where the camera stands.
+    """
+
+    position_mm: tuple[tuple[float, float, float], ...]
+    rgb: tuple[tuple[float, float, float], ...]
+    ambient_rgb: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    camera_mm: tuple[float, float, float] = (0.0, 0.0, 1100.0)
+
+    def environment(self, ambient_multiplies: bool = False) -> Environment:
+        """As a batch of one; see `random_environment` for `ambient_multiplies`."""
+        places, around = np.array(self.position_mm), np.array(self.ambient_rgb)
+        lights = LightSet("target", places, np.array(self.rgb), around)
+        found = from_light_set(lights, np.array(self.camera_mm))
+        if not ambient_multiplies:
+            return found
+        return dataclasses.replace(found, ambient_rgb=torch.ones(1, 3))
+
+
+@dataclasses.dataclass(frozen=True)
 class RandomLightConfig:
     """How random environments are drawn, in the head frame.
 
@@ -54,6 +80,8 @@ class RandomLightConfig:
             around a target.
         camera_spread: largest change of the camera's distance there, as a share.
         intensity_spread: largest change of a light's intensity there, as a share.
+        target: the light of a source of textures, around which all environments are drawn; where
+            None, whatever the other numbers allow.
     """
 
     lights: int = 3
@@ -67,6 +95,7 @@ class RandomLightConfig:
     position_spread: float = 0.5
     camera_spread: float = 0.25
     intensity_spread: float = 0.25
+    target: TargetLight | None = None
 
 
 def from_light_set(lights: LightSet, camera_mm: np.ndarray) -> Environment:
@@ -108,8 +137,11 @@ def random_lights(
     """Places of `count`, or one to `lights`, point lights: (n, 3) mm.
 
     Directions are uniform over the sphere's part with z > -`behind`, so that some light comes from
-    slightly behind, as in a room.
+    slightly behind, as in a room. With a target the lights are its own, moved.
     """
+    if config.target is not None:
+        places = np.array(config.target.position_mm)
+        return moved_lights(places, rng, config.position_spread)
     if count is None:
         count = int(rng.integers(1, config.lights + 1))
     height = rng.uniform(-config.behind, 1.0, count)
@@ -134,6 +166,8 @@ def random_environment(
         ambient_multiplies: for mode `paper`, where the ambient intensity multiplies the lights' sum
             as printed: the lights give the whole exposure, and the intensity is 1.
     """
+    if config.target is not None:
+        return around(config.target.environment(ambient_multiplies), rng, config, position_mm)
     distance = np.linalg.norm(position_mm, axis=1)
     exposure = rng.uniform(*config.exposure)
     ambient = exposure * rng.uniform(*config.ambient_share)
@@ -145,13 +179,13 @@ def random_environment(
     facing = np.maximum(position_mm[:, 2] / distance, 0.3)
     strength = (exposure - ambient) * share / float((share * facing).sum())
     rgb = strength[:, None] * np.exp(rng.normal(0, config.tint, (len(position_mm), 3)))
-    around = ambient * np.exp(rng.normal(0, config.ambient_tint, 3))
+    everywhere = ambient * np.exp(rng.normal(0, config.ambient_tint, 3))
     return Environment(
         torch.from_numpy(position_mm.astype(np.float32))[None],
         torch.from_numpy(rgb.astype(np.float32))[None],
         torch.ones(1, 3)
         if ambient_multiplies
-        else torch.from_numpy(around.astype(np.float32))[None],
+        else torch.from_numpy(everywhere.astype(np.float32))[None],
         torch.zeros(1, len(position_mm), dtype=torch.bool),
         torch.tensor([[0.0, 0.0, config.camera_mm]]),
     )

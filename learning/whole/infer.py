@@ -27,7 +27,7 @@ from learning.maps import to_batch
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork, face_input
 from learning.render.shading import unit
-from learning.render.uv import rasterise
+from learning.render.uv import UvRaster, rasterise
 from learning.whole.detail import enlarged, with_detail
 from learning.whole.refine import CAMERA_MM, LARGEST_MISFIT, Answer, Refined, refine
 from lightstage.counting import counted
@@ -93,6 +93,86 @@ def infer_whole_face(
             size in mm, or in another layout than those trained on.
     """
     rows, columns = texture.shape[:2]
+    looked = look(network, texture, mesh, head_from_mesh, named, device)
+    answer, head_from_mesh, notes = looked.answer, looked.head_from_mesh, list(looked.notes)
+    raster, photographed = looked.raster, looked.photographed
+    covered = raster.covered
+    normal = raster.normals(mesh).astype(np.float32)
+    log_albedo, low_specular = answer.log_albedo, answer.specular
+    refined: Refined | None = None
+    if refine_seconds > 0:
+        placed = mesh.vertices @ head_from_mesh[:, :3].T + head_from_mesh[:, 3]
+        head = dataclasses.replace(mesh, vertices=placed)
+        viewed = CAMERA_MM
+        if camera_mm is not None:
+            viewed = head_from_mesh[:, :3] @ camera_mm + head_from_mesh[:, 3]
+        asked = (texture, photographed, head, raster, refine_seconds, mesostructure, viewed)
+        found = refine(network, answer, *asked, largest_misfit)
+        if isinstance(found, str):
+            notes = [*notes, f"{named[0]} was not refined, the network's answer is used: {found}"]
+        else:
+            refined = found
+            if mesostructure is not None and found.normals is None:
+                notes = [
+                    *notes,
+                    f"{named[0]} has {counted(rows, 'row')}, too few for pores and folds, which "
+                    f"need {mesostructure.least_rows}: normals are the mesh's",
+                ]
+    light = None if refined is None else in_mesh_axes(refined.light, head_from_mesh)
+    if refined is None:
+        if shares is None:
+            shares = network.detail_shares.tolist()
+        diffuse = with_detail(log_albedo, texture, photographed, answer.texture, shares)
+    else:
+        diffuse = refined.diffuse_albedo
+    specular = np.exp(enlarged(np.log(low_specular), rows, columns))
+    deviation = enlarged(looked.deviation, rows, columns)
+    if refined is not None:
+        deviation *= np.where(refined.known, np.float32(1), np.float32(GAP_ERROR))
+    normals = (normal, normal)
+    if refined is not None and refined.normals is not None:
+        normals = tuple(turned @ head_from_mesh[:, :3] for turned in refined.normals)
+    maps = {
+        "diffuse_albedo": diffuse * covered[..., None],
+        "specular_albedo": specular * covered,
+        "diffuse_normal": normals[0],
+        "specular_normal": normals[1],
+        "confidence": photographed * _trust(deviation),
+    }
+    return Inferred({n: m.astype(np.float32) for n, m in maps.items()}, 1, tuple(notes), light)
+
+
+@dataclasses.dataclass(frozen=True)
+class Looked:
+    """A texture as a network saw it, and what it said.
+
+    Attributes:
+        answer: at the network's size.
+        deviation: (h, w) error that it expects of the encoded albedo.
+        raster: the texture's.
+        photographed: (rows, columns) bool, texels of the surface that are not black.
+        head_from_mesh: (3, 4) from the mesh's axes to the head frame, mm.
+        notes: what looks wrong in the texture.
+    """
+
+    answer: Answer
+    deviation: np.ndarray
+    raster: UvRaster
+    photographed: np.ndarray
+    head_from_mesh: np.ndarray
+    notes: tuple[str, ...]
+
+
+def look(
+    network: WholeFaceNetwork,
+    texture: np.ndarray,
+    mesh: Mesh,
+    head_from_mesh: np.ndarray | None,
+    named: tuple[str | Path, str | Path],
+    device: torch.device = CPU,
+) -> Looked:
+    """Ask a network of a texture; arguments and errors as `infer_whole_face`."""
+    rows, columns = texture.shape[:2]
     size = network.config
     if rows < size.rows or columns < size.columns:
         raise MapsError(
@@ -121,51 +201,15 @@ def infer_whole_face(
     there = network if device == CPU else copy.deepcopy(network).to(device)
     with torch.inference_mode():
         output = moved(there(given.to(device)), CPU)
-    log_albedo = _image(output.diffuse_albedo.log())
-    low_specular = np.exp(_image(output.specular_albedo.log())[..., 0])
-    trust = _trust(_image(output.deviation)[..., 0])
-    refined: Refined | None = None
-    if refine_seconds > 0:
-        answer = Answer(_image(small), _image(shown)[..., 0] > 0, log_albedo, low_specular, trust)
-        placed = mesh.vertices @ head_from_mesh[:, :3].T + head_from_mesh[:, 3]
-        head = dataclasses.replace(mesh, vertices=placed)
-        viewed = CAMERA_MM
-        if camera_mm is not None:
-            viewed = head_from_mesh[:, :3] @ camera_mm + head_from_mesh[:, 3]
-        asked = (texture, photographed, head, raster, refine_seconds, mesostructure, viewed)
-        found = refine(network, answer, *asked, largest_misfit)
-        if isinstance(found, str):
-            notes = [*notes, f"{named[0]} was not refined, the network's answer is used: {found}"]
-        else:
-            refined = found
-            if mesostructure is not None and found.normals is None:
-                notes = [
-                    *notes,
-                    f"{named[0]} has {counted(rows, 'row')}, too few for pores and folds, which "
-                    f"need {mesostructure.least_rows}: normals are the mesh's",
-                ]
-    light = None if refined is None else in_mesh_axes(refined.light, head_from_mesh)
-    if refined is None:
-        if shares is None:
-            shares = network.detail_shares.tolist()
-        diffuse = with_detail(log_albedo, texture, photographed, _image(small), shares)
-    else:
-        diffuse = refined.diffuse_albedo
-    specular = np.exp(enlarged(np.log(low_specular), rows, columns))
-    deviation = enlarged(_image(output.deviation)[..., 0], rows, columns)
-    if refined is not None:
-        deviation *= np.where(refined.known, np.float32(1), np.float32(GAP_ERROR))
-    normals = (normal, normal)
-    if refined is not None and refined.normals is not None:
-        normals = tuple(turned @ head_from_mesh[:, :3] for turned in refined.normals)
-    maps = {
-        "diffuse_albedo": diffuse * covered[..., None],
-        "specular_albedo": specular * covered,
-        "diffuse_normal": normals[0],
-        "specular_normal": normals[1],
-        "confidence": photographed * _trust(deviation),
-    }
-    return Inferred({n: m.astype(np.float32) for n, m in maps.items()}, 1, tuple(notes), light)
+    deviation = _image(output.deviation)[..., 0]
+    answer = Answer(
+        _image(small),
+        _image(shown)[..., 0] > 0,
+        _image(output.diffuse_albedo.log()),
+        np.exp(_image(output.specular_albedo.log())[..., 0]),
+        _trust(deviation),
+    )
+    return Looked(answer, deviation, raster, photographed, head_from_mesh, tuple(notes))
 
 
 def in_mesh_axes(light: LightSet, head_from_mesh: np.ndarray) -> LightSet:

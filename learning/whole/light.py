@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -50,6 +51,21 @@ n = 1.4 over F0 in the mean over directions up to 60 degrees from the normal."""
 
 Lamps = tuple[tuple[float, float, float], ...]
 """Places of lamps, mm, head frame."""
+
+
+class Surface(Protocol):
+    """Texels, and what a lamp anywhere gives them; see `LitSurface`."""
+
+    def seen(self, lamps_mm: np.ndarray) -> np.ndarray:
+        """(L, n) share of each lamp that each texel sees."""
+
+    def under(
+        self, lamps_mm: np.ndarray, shininess: float = ..., seen: np.ndarray | None = ...
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(n, L) irradiance and lobe."""
+
+    def openness(self) -> np.ndarray:
+        """(n,) share of even light."""
 
 
 class LitSurface:
@@ -134,7 +150,7 @@ class Light:
 class LightFit:
     """A texture, and the search for its light."""
 
-    def __init__(self, surface: LitSurface, texture: np.ndarray, weight: np.ndarray) -> None:
+    def __init__(self, surface: Surface, texture: np.ndarray, weight: np.ndarray) -> None:
         """A head's n texels: (n, 3) linear texture, (n,) how much each counts.
 
         `openness` is (n,), see `LitSurface.openness`; `shininess` of its highlights may be changed.

@@ -56,6 +56,38 @@ def import_ict_command(
     _finish_import(out, template.regions, facts, as_json)
 
 
+@app.command("import-gnm")
+def import_gnm_command(
+    model: Path = typer.Argument(
+        ..., metavar="PATH", help="GNM Head's gnm_head.npz.", show_default=False
+    ),
+    out: Path = output_folder("--out", help="Template folder to make.", shared=True),
+    landmarks: Path | None = typer.Option(
+        None,
+        "--landmarks",
+        help="GNM's head_sparse_68.txt.",
+        show_default="beside PATH, as GNM's repository has it",
+    ),
+    unit: str | None = typer.Option(
+        None, "--unit", help="Of the model: mm, cm or m.", show_default="m"
+    ),
+    overwrite: bool = Overwrite,
+    as_json: bool = JsonFlag,
+) -> None:
+    """A template of GNM Head, with its modes."""
+    from lightstage.formats.files import require_new
+    from processing.template.build import MARKER, write_template
+    from processing.template.config import ImportConfig
+    from processing.template.import_gnm import import_gnm
+
+    require_new(out, overwrite, MARKER)
+    config = ImportConfig()
+    with progress_bar("template import-gnm") as progress:
+        template, facts = import_gnm(model, landmarks, config, _unit(unit), progress)
+        write_template(template, out, config)
+    _finish_import(out, template.regions, facts, as_json)
+
+
 @app.command("import-obj")
 def import_obj_command(
     mesh: Path = typer.Argument(..., help="Head mesh with UV, .obj.", show_default=False),

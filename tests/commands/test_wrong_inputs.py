@@ -38,6 +38,7 @@ RIGHT: dict[str, dict[str, str]] = {
     "processing atlas": {"session": "session", "--out": NEW},
     "processing register-mesh": {"mesh": "mesh", "--landmarks": "points", "--out": NEW},
     "processing template import-ict": {"clone": "session", "--out": NEW},
+    "processing template import-gnm": {"model": "session", "--out": NEW},
     "processing template import-obj": {"mesh": "mesh", "--landmarks": "points", "--out": NEW},
     "processing template check": {"template": "template"},
     "processing template transfer": {
@@ -60,6 +61,7 @@ RIGHT: dict[str, dict[str, str]] = {
     "learning occlusion": {"--out": NEW},
     "learning template-points": {"--template": "template", "--out": NEW},
     "learning train": {"--data": "store", "--out": NEW},
+    "learning domain-light": {"textures": "texture", "--mesh": "mesh", "--out": NEW},
     "learning infer": {
         "--texture": "texture", "--mesh": "mesh", "--checkpoint": "run", "--out": NEW,
     },

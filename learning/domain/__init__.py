@@ -1,0 +1,1 @@
+"""The light that all textures of one source have in common."""

@@ -1,0 +1,259 @@
+"""What `domain-light` does: read textures, find the light in all of them, write it; the facts."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from learning.checkpoint import load_whole_face, read_checkpoint, shipped_weights
+from learning.domain.closed import find_light
+from learning.domain.config import DomainConfig
+from learning.domain.descent import descend
+from learning.domain.sample import Sample, sample_of
+from learning.errors import MapsError
+from learning.limits import require_within
+from learning.networks.whole_face import WholeFaceNetwork
+from learning.render.environments import TargetLight
+from learning.whole.refine import CAMERA_MM
+from lightstage.commands import ProgressCallback
+from lightstage.errors import ConfigError, FormatError
+from lightstage.formats.config import make_config, read_toml
+from lightstage.formats.environment import SCHEMA, LightSet, read_lights
+from lightstage.formats.exr import read_exr
+from lightstage.formats.files import read_json, write_json
+from lightstage.formats.mesh import Mesh, read_mesh
+from lightstage.formats.processed import read_map
+
+TEXTURE, MESH, CONFIDENCE = "texture.exr", "registered_mesh.obj", "atlas/confidence.exr"
+"""In a fit's folder."""
+FEW = 4
+"""Textures below which a note says that the people's tone is not averaged out."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """Where a texture is, its mesh, and where it says something."""
+
+    texture: Path
+    mesh: Path
+    confidence: Path | None
+
+
+def domain_light(
+    textures: list[Path],
+    out: Path,
+    mesh: Path | None,
+    checkpoint: Path | None,
+    config: Path | None,
+    seconds: float | None,
+    steps: int | None,
+    progress: ProgressCallback,
+) -> dict[str, Any]:
+    """Find the light that textures of one source have in common; returns the facts.
+
+    Args:
+        textures: fits' folders, textures, or folders of either.
+        out: light to write, .json.
+        mesh: of all textures, where they are no fits.
+        checkpoint: a run of a whole-face network; the shipped weights where None.
+        config: TOML over the defaults.
+        seconds: see `DomainConfig`; the configuration's where None.
+        steps: the same.
+        progress: called with steps done and their number.
+
+    Raises:
+        LightstageError: bad input; nothing is written then.
+    """
+    began = time.monotonic()
+    settings = _config(config, seconds, steps)
+    about = read_checkpoint(checkpoint or shipped_weights())
+    if about.family != "whole_face":
+        raise ConfigError(
+            "--checkpoint",
+            found=f"a network of the family {about.family!r}",
+            expected="a whole-face network",
+            hint="Leave --checkpoint out for the weights that are shipped.",
+        )
+    network, _ = load_whole_face(about.folder)
+    found = places_of(textures, mesh)
+    chosen = [found[i] for i in _evenly(len(found), settings.textures)]
+    whole = len(chosen) + settings.rounds + settings.steps
+    samples: list[Sample] = []
+    for place in chosen:
+        samples.append(_read(place, network))
+        progress(len(samples), whole)
+    closed = find_light(
+        samples,
+        network,
+        CAMERA_MM,
+        settings.seconds,
+        settings.rounds,
+        lambda done, _: progress(len(chosen) + done, whole),
+    ).light
+    lit = closed.rgb[:-1].max(axis=1) > 0
+    if not lit.any():
+        raise MapsError(
+            textures[0],
+            field="light",
+            found="no lamp, only light from everywhere",
+            expected="textures that a lamp lights",
+            hint="Are they unlit already?",
+        )
+    begin = LightSet("domain", np.array(closed.lamps_mm)[lit], closed.rgb[:-1][lit], closed.rgb[-1])
+    refined = descend(
+        samples,
+        begin,
+        CAMERA_MM,
+        settings.steps,
+        settings.rate,
+        settings.shadow_steps,
+        lambda done, _: progress(len(chosen) + settings.rounds + done, whole),
+    )
+    write_domain_light(refined.light, refined.camera_mm, out)
+    progress(whole, whole)
+    notes = []
+    if len(samples) < FEW:
+        notes.append(
+            f"{len(samples)} textures: what the network gets wrong of a person's tone is in the "
+            f"light's strength; {FEW} and more average it out"
+        )
+    if len(chosen) < len(found):
+        notes.append(f"{len(chosen)} of {len(found)} textures were looked at, evenly among them")
+    return {
+        "textures": len(samples),
+        "lamps": len(refined.light.rgb),
+        "position_mm": refined.light.position_mm.tolist(),
+        "rgb": refined.light.rgb.tolist(),
+        "ambient_rgb": refined.light.ambient_rgb.tolist(),
+        "camera_mm": refined.camera_mm.tolist(),
+        "difference_before": refined.before,
+        "difference_after": refined.after,
+        "notes": notes,
+        "seconds": time.monotonic() - began,
+    }
+
+
+def write_domain_light(light: LightSet, camera_mm: np.ndarray, path: Path) -> Path:
+    """Write a light set with the place of its camera, atomically; returns `path`."""
+    lamps = zip(light.position_mm.tolist(), light.rgb.tolist(), strict=True)
+    return write_json(
+        path,
+        {
+            "schema": SCHEMA,
+            "name": light.name,
+            "lights": [{"position_mm": place, "rgb": rgb} for place, rgb in lamps],
+            "ambient_rgb": light.ambient_rgb.tolist(),
+            "camera_mm": camera_mm.tolist(),
+        },
+    )
+
+
+def read_target_light(path: Path) -> TargetLight:
+    """Read a light set as the target of a training; its camera is in front where it has none.
+
+    Raises:
+        FormatError: see `read_lights`; a camera that is no place.
+        ConfigError: no lamp, or numbers that no training takes.
+    """
+    lights = read_lights(path)
+    camera = read_json(path, SCHEMA).get("camera_mm", CAMERA_MM.tolist())
+    plain = isinstance(camera, list) and len(camera) == 3
+    if not plain or not all(type(c) in (int, float) and np.isfinite(c) for c in camera):
+        raise FormatError(
+            path, field="camera_mm", found=repr(camera)[:60], expected="three numbers, mm"
+        )
+
+    def three(row: Any) -> tuple[float, float, float]:
+        return float(row[0]), float(row[1]), float(row[2])
+
+    target = TargetLight(
+        tuple(three(row) for row in lights.position_mm),
+        tuple(three(row) for row in lights.rgb),
+        three(lights.ambient_rgb),
+        three(camera),
+    )
+    require_within(target, path, "lights.target")
+    return target
+
+
+def places_of(textures: list[Path], mesh: Path | None) -> list[Place]:
+    """The textures that are meant, each with its mesh.
+
+    Raises:
+        MapsError: no texture, or one without a mesh.
+    """
+    found: list[Place] = []
+    for path in textures:
+        if path.is_file():
+            found.append(_place(path, mesh))
+        elif (path / TEXTURE).is_file():
+            found.append(_place(path / TEXTURE, mesh))
+        elif path.is_dir():
+            inside = sorted(path.glob(f"*/{TEXTURE}")) + sorted(path.glob("*.exr"))
+            if not inside:
+                raise MapsError(
+                    path,
+                    found="no texture",
+                    expected=f"folders with {TEXTURE}, as `fit` writes them, or .exr files",
+                )
+            found += [_place(each, mesh) for each in inside]
+        else:
+            raise MapsError(path, found="no such file", expected="a texture, or a fit's folder")
+    return found
+
+
+def _place(texture: Path, mesh: Path | None) -> Place:
+    own = texture.parent / MESH
+    confidence = texture.parent / CONFIDENCE
+    if mesh is None and not own.is_file():
+        raise MapsError(
+            texture,
+            field="mesh",
+            found=f"no {MESH} beside it",
+            expected="the mesh whose UV the texture has",
+            hint="Name one mesh for all textures by --mesh.",
+        )
+    told = confidence if mesh is None and confidence.is_file() else None
+    return Place(texture, own if mesh is None else mesh, told)
+
+
+def _read(place: Place, network: WholeFaceNetwork) -> Sample:
+    """A texture as the search takes it: black where it was filled."""
+    texture = read_exr(place.texture, finite=True)
+    if texture.ndim != 3:
+        raise MapsError(place.texture, found="one channel", expected="R G B")
+    shape: Mesh = read_mesh(place.mesh)
+    if shape.uvs is None:
+        raise MapsError(place.mesh, field="uv", found="none", expected="the texture's coordinates")
+    if place.confidence is not None:
+        told = read_map(place.confidence, "confidence")
+        if told.shape[:2] != texture.shape[:2]:
+            raise MapsError(
+                place.confidence,
+                found=f"{told.shape[0]} x {told.shape[1]} texels",
+                expected=f"{texture.shape[0]} x {texture.shape[1]}, as {place.texture.name}",
+            )
+        texture = texture * (told.reshape(*texture.shape[:2], 1) > 0)
+    return sample_of(network, texture, shape, (place.texture, place.mesh))
+
+
+def _config(path: Path | None, seconds: float | None, steps: int | None) -> DomainConfig:
+    values: dict[str, Any] = read_toml(path) if path else {}
+    config = make_config(DomainConfig, values, path or "DomainConfig")
+    more: dict[str, Any] = {}
+    if seconds is not None:
+        more["seconds"] = seconds
+    if steps is not None:
+        more["steps"] = steps
+    config = dataclasses.replace(config, **more)
+    require_within(config, path or "domain-light", "domain")
+    return config
+
+
+def _evenly(count: int, most: int) -> list[int]:
+    """At most `most` of `count` numbers, evenly."""
+    return np.unique(np.round(np.linspace(0, count - 1, min(count, most))).astype(int)).tolist()

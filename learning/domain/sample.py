@@ -1,0 +1,61 @@
+"""One texture of a domain at the network's size, with what the network says of its skin."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+
+import numpy as np
+
+from learning.networks.whole_face import WholeFaceNetwork
+from learning.render.uv import UvRaster, rasterise
+from learning.whole.infer import look
+from learning.whole.refine import Answer
+from lightstage.formats.mesh import Mesh
+
+
+@dataclasses.dataclass(frozen=True)
+class Sample:
+    """A texture and its head.
+
+    Attributes:
+        name: for messages.
+        answer: of the network.
+        mesh: in the head frame.
+        raster: of the network's size.
+    """
+
+    name: str
+    answer: Answer
+    mesh: Mesh
+    raster: UvRaster
+
+    @functools.cached_property
+    def weight(self) -> np.ndarray:
+        """(n,) how much each texel of the surface counts."""
+        here = self.raster.covered
+        found: np.ndarray = self.answer.seen[here] * self.answer.trust[here] ** 2
+        return found
+
+    @functools.cached_property
+    def colours(self) -> np.ndarray:
+        """(n, 3) linear, of the texels of the surface."""
+        return self.answer.texture[self.raster.covered].astype(float)
+
+
+def sample_of(
+    network: WholeFaceNetwork,
+    texture: np.ndarray,
+    mesh: Mesh,
+    named: tuple[str | Path, str | Path],
+) -> Sample:
+    """Ask the network of a texture, black where it says nothing.
+
+    Raises:
+        MapsError: see `infer_whole_face`.
+    """
+    looked = look(network, texture, mesh, None, named)
+    pose = looked.head_from_mesh
+    head = mesh.with_vertices(mesh.vertices @ pose[:, :3].T + pose[:, 3])
+    return Sample(str(named[0]), looked.answer, head, rasterise(head, *looked.answer.seen.shape))

@@ -1,0 +1,144 @@
+"""Photographs as people have them: each is read rightly, or refused in one message."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from learning.checkpoint import load_whole_face, shipped_weights
+from learning.photo import command
+from learning.photo.command import FitRequest, Marks, _with_colour
+from learning.photo.fit import Photograph
+from learning.photo.grey import LUMINANCE, coloured, has_no_colour
+from learning.photo.picture import read_photograph
+from lightstage.errors import LightstageError
+from lightstage.faces.detect import Face
+from lightstage.formats.template import default_template_path, load_template
+
+SIZE = 70
+
+
+def picture() -> np.ndarray:
+    """(70, 80, 3) of 8 bits, red brighter than blue."""
+    rng = np.random.default_rng(0)
+    return rng.integers(40, 200, (SIZE, SIZE + 10, 1), np.uint8) + np.uint8([0, 20, 40])
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(LightstageError) as caught:
+        read_photograph(path)
+    return str(caught.value)
+
+
+def chunk(kind: bytes, content: bytes) -> bytes:
+    whole = kind + content
+    return struct.pack(">I", len(content)) + whole + struct.pack(">I", zlib.crc32(whole))
+
+
+def png_header(width: int, height: int) -> bytes:
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    body = chunk(b"IDAT", zlib.compress(bytes(1000))) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + body
+
+
+def test_a_header_that_claims_more_pixels_than_a_camera_has_is_refused_before_decoding(
+    tmp_path: Path,
+) -> None:
+    bomb = tmp_path / "bomb.png"
+    bomb.write_bytes(png_header(60_000, 60_000))
+    assert "300 megapixels" in refusal(bomb)
+    jpeg = bytearray(cv2.imencode(".jpg", picture())[1].tobytes())
+    place = jpeg.index(b"\xff\xc0") + 5
+    jpeg[place : place + 4] = struct.pack(">HH", 65_000, 65_000)
+    large = tmp_path / "large.jpg"
+    large.write_bytes(bytes(jpeg))
+    assert "65000 x 65000" in refusal(large)
+
+
+def test_a_forty_pixel_picture_and_a_truncated_one_are_refused_by_name(tmp_path: Path) -> None:
+    small, cut = tmp_path / "small.png", tmp_path / "cut.jpg"
+    cv2.imwrite(str(small), picture()[:40, :40])
+    assert "40 x 40 px" in refusal(small)
+    cut.write_bytes(cv2.imencode(".jpg", picture())[1].tobytes()[:-400])
+    assert "cut.jpg" in refusal(cut)
+
+
+def test_printing_inks_and_cut_out_people_are_refused(tmp_path: Path) -> None:
+    inks, clear = tmp_path / "inks.tif", tmp_path / "clear.png"
+    four = np.dstack([picture(), np.full((SIZE, SIZE + 10), 9, np.uint8)])
+    tifffile.imwrite(inks, four, photometric="separated")
+    assert "CMYK" in refusal(inks)
+    cv2.imwrite(str(clear), four)
+    assert "transparent" in refusal(clear)
+    opaque = tmp_path / "opaque.png"
+    cv2.imwrite(str(opaque), np.dstack([picture(), np.full((SIZE, SIZE + 10), 255, np.uint8)]))
+    assert read_photograph(opaque)[0].shape == (SIZE, SIZE + 10, 3)
+
+
+def test_sixteen_bits_and_eight_give_the_same_light(tmp_path: Path) -> None:
+    deep, plain = tmp_path / "deep.png", tmp_path / "plain.png"
+    cv2.imwrite(str(plain), picture())
+    cv2.imwrite(str(deep), picture().astype(np.uint16) * 257)
+    np.testing.assert_allclose(read_photograph(deep)[0], read_photograph(plain)[0], atol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif"])
+def test_a_grey_file_is_read_as_three_equal_colours(tmp_path: Path, suffix: str) -> None:
+    path, three = tmp_path / f"grey{suffix}", tmp_path / "three.png"
+    grey = np.full((SIZE, SIZE + 10), 90, np.uint8)
+    cv2.imwrite(str(path), grey)
+    cv2.imwrite(str(three), np.repeat(grey[..., None], 3, axis=2))
+    np.testing.assert_allclose(read_photograph(path)[0], read_photograph(three)[0], atol=0.01)
+
+
+def test_black_and_white_gets_the_mean_persons_colour_and_a_note(tmp_path: Path) -> None:
+    network, _ = load_whole_face(shipped_weights())
+    grey = np.repeat(np.random.default_rng(0).random((20, 20, 1)), 3, axis=2).astype(np.float32)
+    assert has_no_colour(grey)
+    assert has_no_colour(np.zeros((4, 4, 3)))
+    assert not has_no_colour(grey * [1.0, 0.8, 0.7])
+    found = coloured(grey, network)
+    np.testing.assert_allclose(found @ LUMINANCE, grey[..., 0], rtol=1e-4)
+    assert (found[..., 0] > found[..., 2]).all()  # skin is red more than blue
+    notes: list[str] = []
+    points = np.zeros((68, 2))
+    kept = _with_colour(Photograph("old.jpg", grey, points), network, notes)
+    assert "old.jpg is black and white" in notes[0]
+    np.testing.assert_array_equal(kept.rgb_linear, found)
+    same = Photograph("new.jpg", found, points)
+    assert _with_colour(same, network, notes) is same
+    assert len(notes) == 1
+
+
+def test_of_two_faces_the_larger_is_taken_and_a_third_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "two.png"
+    cv2.imwrite(str(path), picture())
+
+    def face(size: float) -> Any:
+        points = size * np.random.default_rng(1).random((468, 2))
+        return Face(points, np.zeros(468), 1.0, np.array([0, 0, size, size]))
+
+    monkeypatch.setattr(command, "detect_faces", lambda _: [face(60.0), face(20.0)])
+    template = load_template(default_template_path())
+    light = read_photograph(path)[0]
+
+    def points(number: int, notes: list[str]) -> np.ndarray:
+        request = FitRequest((path,), default_template_path(), tmp_path / "F", face=number)
+        return Marks(request, template).of(path, light, notes)
+
+    notes: list[str] = []
+    largest = points(1, notes)
+    assert "shows 2 faces: the largest was taken" in notes[0]
+    assert np.nanmax(points(2, notes)) < np.nanmax(largest)
+    assert len(notes) == 1
+    with pytest.raises(LightstageError, match=r"two\.png: .*2 faces.*3 faces \(--face\)"):
+        points(3, notes)
