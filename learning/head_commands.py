@@ -62,16 +62,24 @@ def export(
             help="Inferred maps of the same mesh: the page has a slider between them and MAPS."
         ),
     ] = None,
+    lods: Annotated[
+        int,
+        typer.Option(
+            help="Levels of detail beside the head, each with a quarter of the triangles of the "
+            "one before and pictures of half the rows (needs the extra meshlab)."
+        ),
+    ] = 0,
     as_json: bool = JsonFlag,
 ) -> None:
     """Write a head for artists, engines and researchers: glTF, OBJ, maps, USD, a web page."""
     from learning.export.command import export_command
 
     with limited_access(group_of([maps])), progress_bar("export") as progress:
-        facts = export_command(maps, mesh, formats, out, template, compare, progress)
+        facts = export_command(maps, mesh, formats, out, template, compare, progress, levels=lods)
     finish(
         f"{out}: {', '.join(facts['formats'])}; {facts['rows']} x {facts['columns']} texels, "
         f"{facts['bytes'] / 1e6:.1f} MB, {facts['seconds']:.1f} s"
+        + "".join(f"; level of {count} triangles" for count in facts["lod_triangles"])
         + "".join(f"; {note}" for note in facts["notes"]),
         facts,
         as_json,

@@ -224,6 +224,7 @@ def register_mesh(
     from lightstage.formats.landmarks import read_points_mm
     from lightstage.formats.mesh import read_mesh, write_obj
     from lightstage.formats.template import load_template
+    from lightstage.meshlab import cleaned
     from processing import pipeline
     from processing.registration.providers import (
         CommandLandmarks,
@@ -261,10 +262,12 @@ def register_mesh(
             f"largest side {side:.3g}: taken for {unit.name} and multiplied by {unit.mm:g}"
         )
         scan = scan.with_vertices(unit.mm * scan.vertices)
+    scan, removed, note = cleaned(scan, mesh.name)
+    notes += [note] if note else []
     with limited_access(group_of([mesh.parent])), progress_bar("register-mesh") as progress:
         vertices, facts = register_scan(scan, points_mm, shape, settings, progress)
         write_obj(shape.mesh.with_vertices(vertices), out)
-    facts = {"scan_unit": unit.name, "notes": notes, **facts}
+    facts = {"scan_unit": unit.name, "notes": notes, "scan_cleaned": removed, **facts}
     summary = "; ".join([*notes, _facts_in_words(facts)])
     finish(f"{out}: {summary}", {"out": str(out), **facts}, as_json)
 

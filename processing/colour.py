@@ -71,7 +71,8 @@ def root_terms(raw: np.ndarray) -> np.ndarray:
         raw: (..., 3) float.
 
     Returns:
-        (..., 6), the same type. A negative channel counts as 0 under a root.
+        (..., 6), the same type. A negative channel, which is noise, counts as 0 under a root;
+        colour-science, whose terms are the same else, gives roots of negative products a sign.
     """
     root = np.sqrt(np.maximum(raw, 0))
     r, g, b = root[..., 0], root[..., 1], root[..., 2]

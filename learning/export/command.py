@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from learning.errors import MapsError
 from learning.export.gltf import write_glb
+from learning.export.levels import coarser, on_level, require_levels, require_triangles
 from learning.export.maps import write_maps
 from learning.export.morphs import morph_targets
 from learning.export.obj import write_obj_material, write_pictures
@@ -25,6 +27,8 @@ from lightstage.formats.processed import ProcessedFolder
 from processing.dataset import read_head_pose
 
 FORMATS = ("gltf", "obj", "maps", "usd", "page")
+PROGRAMS = ("gltf", "obj", "usd")
+"""Formats that levels of detail are written in, too."""
 PAGE = "page.html"
 README = "README.txt"
 
@@ -53,6 +57,7 @@ def export_command(
     compare: Path | None,
     progress: ProgressCallback,
     replace: bool = False,
+    levels: int = 0,
 ) -> dict[str, Any]:
     """Export a head; returns the facts.
 
@@ -66,6 +71,7 @@ def export_command(
         compare: other maps of the same mesh, such as inferred ones, for the page's slider.
         progress: of the formats.
         replace: an earlier export in `out`.
+        levels: of less detail, each in a folder of its own.
 
     Raises:
         LightstageError: bad input; nothing is written then.
@@ -74,6 +80,7 @@ def export_command(
     chosen = formats_of(formats)
     if "usd" in chosen:
         require_usd()
+    require_levels(levels, PROGRAMS, chosen)
     if not replace and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise MapsError(
             out,
@@ -85,6 +92,7 @@ def export_command(
     if compare is not None and "page" not in chosen:
         raise ConfigError("--compare", found="without page in --format", expected="page")
     source = read_source(maps, mesh, template)
+    require_triangles(levels, len(source.mesh.triangles()))
     sides = {"captured" if compare else "head": (source, Pictures(source))}
     if compare is not None:
         place = ProcessedFolder(source.folder.parent).registered_mesh if mesh is None else mesh
@@ -94,25 +102,30 @@ def export_command(
     notes = [*source.notes, *notes]
     pictures: Pictures = list(sides.values())[-1][1]
     written: list[tuple[str, str, str]] = []
+    programs = [name for name in chosen if name in PROGRAMS]
+    steps = iter(range(1, 1 + len(chosen) + levels * len(programs)))
+
+    def step() -> None:
+        progress(next(steps), len(chosen) + levels * len(programs))
+
+    finer, counts = source, []
     with atomic_folder(out, README) as folder:
-        if "gltf" in chosen:
-            write_glb(folder / "head.glb", source, pictures, morphs)
-            progress(1 + chosen.index("gltf"), len(chosen))
-        if "obj" in chosen or "usd" in chosen:
-            paths = write_pictures(folder, pictures)
-        if "obj" in chosen:
-            write_obj_material(folder / "head.obj", source, paths)
-            progress(1 + chosen.index("obj"), len(chosen))
+        _write_programs(folder, programs, source, pictures, morphs, step)
         if "maps" in chosen:
             written = list(write_maps(folder, source))
-            progress(1 + chosen.index("maps"), len(chosen))
-        if "usd" in chosen:
-            write_usd(folder / "head.usda", source, paths)
-            progress(1 + chosen.index("usd"), len(chosen))
+            step()
         if "page" in chosen:
             write_page(folder / PAGE, sides)
-            progress(1 + chosen.index("page"), len(chosen))
-        text = readme(chosen, source.size, written, notes, list(morphs), "roughness" in source.maps)
+            step()
+        for number in range(1, levels + 1):
+            finer = coarser(finer)
+            counts.append(len(finer.mesh.triangles()))
+            moved = {name: on_level(source, finer, offset) for name, offset in morphs.items()}
+            level = folder / f"lod{number}"
+            level.mkdir()
+            _write_programs(level, programs, finer, Pictures(finer), moved, step)
+        rough = "roughness" in source.maps
+        text = readme(chosen, source.size, written, notes, list(morphs), rough, counts)
         write_text(folder / README, text)
         size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     rows, columns = source.size
@@ -121,10 +134,33 @@ def export_command(
         "rows": rows,
         "columns": columns,
         "morph_targets": list(morphs),
+        "lod_triangles": counts,
         "notes": notes,
         "bytes": size,
         "seconds": time.monotonic() - began,
     }
+
+
+def _write_programs(
+    folder: Path,
+    programs: list[str],
+    source: Source,
+    pictures: Pictures,
+    morphs: dict[str, np.ndarray],
+    step: Callable[[], None],
+) -> None:
+    """Write a head, or a level of it, for other programs: some of `PROGRAMS`; a step after each."""
+    if "gltf" in programs:
+        write_glb(folder / "head.glb", source, pictures, morphs)
+        step()
+    if "obj" in programs or "usd" in programs:
+        paths = write_pictures(folder, pictures)
+    if "obj" in programs:
+        write_obj_material(folder / "head.obj", source, paths)
+        step()
+    if "usd" in programs:
+        write_usd(folder / "head.usda", source, paths)
+        step()
 
 
 def _morphs(source: Source, template: Path | None) -> tuple[dict[str, np.ndarray], list[str]]:

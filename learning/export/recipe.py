@@ -47,6 +47,7 @@ def readme(
     notes: Sequence[str],
     morphs: Sequence[str],
     has_roughness: bool,
+    levels: Sequence[int] = (),
 ) -> str:
     """The text, for what was written.
 
@@ -57,6 +58,7 @@ def readme(
         notes: what a user should know.
         morphs: names of the morph targets.
         has_roughness: whether there is a map of it.
+        levels: triangles of each level of detail.
     """
     lines = [
         f"A captured or inferred head; maps of {size[0]} rows x {size[1]} columns.",
@@ -80,6 +82,12 @@ def readme(
         )
     if "page" in formats:
         lines.append("page.html    opens in a browser from the disk.")
+    if levels:
+        what = ", ".join(str(count) for count in levels)
+        lines.append(
+            f"lod1/ ...    the head for larger distances: {what} triangles; pictures of half the "
+            "rows each time, normal maps of their own meshes."
+        )
     if not has_roughness:
         lines.append(
             f"No map of roughness: Beckmann's m is {CONSTANT_ROUGHNESS:.3f} everywhere, "

@@ -148,7 +148,7 @@ def read_source(given: Path, mesh: Path | None = None, template: Path | None = N
         notes.append("specular_albedo is 0 everywhere: nothing shines")
     frames = tangent_frames(shape.vertices, triangles, shape.uvs, corners, normals)
     maps = {name: image for name, image in maps.items() if name != "position"}
-    nearest = _nearest(raster.face >= 0)
+    nearest = nearest_covered(raster.face >= 0)
     return Source(shape, normals, frames, raster, nearest, folder, maps, tuple(notes))
 
 
@@ -241,7 +241,7 @@ def _require_same(
             )
 
 
-def _nearest(covered: np.ndarray) -> np.ndarray:
+def nearest_covered(covered: np.ndarray) -> np.ndarray:
     """(rows, columns) int32 flat index of each texel's nearest covered one."""
     _, label = cv2.distanceTransformWithLabels(
         (~covered).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from lightstage.counting import counted
 from lightstage.formats.mesh import Mesh, read_mesh
+from lightstage.meshlab import cleaned
 from lightstage.rig import Camera
 from processing.closest import ClosestPoints
 from processing.errors import ReconstructionError
@@ -63,7 +64,7 @@ def require_given(config: ReconstructConfig) -> None:
 
 
 def given_mesh(path: Path, cameras: Sequence[Camera], points_mm: np.ndarray) -> Given:
-    """Read a head's mesh, turn its faces outward, and hold it against the photographs.
+    """Read a head's mesh, clean it, turn its faces outward, and hold it against the photographs.
 
     Args:
         path: .ply or .obj, mm, in the rig's axes.
@@ -74,13 +75,13 @@ def given_mesh(path: Path, cameras: Sequence[Camera], points_mm: np.ndarray) -> 
         FormatError: no such file, or no mesh.
         ReconstructionError: another unit or another pose than the photographs'.
     """
-    mesh = read_given(path)
-    warnings = []
+    mesh, removed, note = cleaned(read_given(path), path.name)
+    warnings = [note] if note else []
     if _inside_out(path, mesh, cameras):
         mesh = dataclasses.replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, ::-1]))
         warnings.append(f"the faces of {path.name} pointed inward and were turned")
     facts: dict[str, Any] = {"normals": "none were needed: the mesh was given"}
-    facts["given_mesh"] = path.name
+    facts |= {"given_mesh": path.name, "given_mesh_cleaned": removed}
     if len(points_mm) < FEWEST_POINTS:
         found = counted(len(points_mm), "point")
         warnings.append(

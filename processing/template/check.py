@@ -11,6 +11,7 @@ import numpy as np
 from lightstage.counting import counted
 from lightstage.formats.mesh import connected, directed_edges, vertex_normals
 from lightstage.formats.template import REGIONS, Template
+from lightstage.meshlab import reason_without, self_intersecting
 from processing.errors import ProcessingError
 from processing.registration.flips import folded_triangles, grown
 from processing.registration.rigid import umeyama
@@ -87,6 +88,13 @@ def _surface(
     _add(found, "faces turned over", turned_against(triangles),
           "{} that face the other way than a neighbour")  # fmt: skip
     _add(found, "no area", slivers(vertices, triangles), "{} without area on the surface")
+    reason = reason_without()
+    if reason is None:
+        crossing = self_intersecting(vertices, triangles)
+        facts["self_intersecting_triangles"] = int(crossing.sum())
+        _add(found, "self-intersections", crossing, "{} that cut through others")
+    else:
+        facts["not_checked"] = f"self-intersections: {reason}"
     loose = not_joined(vertices, triangles, config.joined_mm)
     _add(found, "not joined", loose[triangles].any(axis=1),
           "{} at borders that are on other borders and are not joined to them")  # fmt: skip

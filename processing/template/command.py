@@ -144,6 +144,8 @@ def check_command(
     found, facts = check_template(shape)
     for each in found:
         print(f"warning: {each.name}: {each.text}", file=sys.stderr)
+    if "not_checked" in facts:
+        print(f"warning: not checked: {facts['not_checked']}", file=sys.stderr)
     if picture is not None:
         write_png(picture, draw(shape, found))
     require_usable(template, found)

@@ -17,6 +17,9 @@ and light skin too dark in red. Two corrections, each one number (`PigmentConfig
 to the two skin patches of the classic 24-patch chart: the epidermis also scatters back
 (Kubelka-Munk [KubelkaMunk1931] with K = 2 mu and S = `backscatter` x scattering), which sets a
 floor that no melanin takes away; and the bloodless dermis absorbs only `dermis_base` of the base.
+
+The spectra are our own: colour-science has none of blood and melanin, and its tables of the CIE
+differ from the fit of [Wyman2013] by some hundredths, so that every simulated person would change.
 """
 
 from __future__ import annotations

@@ -19,10 +19,11 @@ from processing.colour import (
     root_terms,
     srgb_from_linear,
 )
+from processing.colour_difference import colour_science
 
 
 def test_srgb_curve_is_that_of_colour_science() -> None:
-    colour = pytest.importorskip("colour", reason="needs the extra `reference`")
+    colour = colour_science()
     values = np.linspace(0, 1, 4097)
     np.testing.assert_allclose(
         srgb_from_linear(values), colour.cctf_encoding(values, function="sRGB"), atol=1e-7
@@ -53,7 +54,7 @@ def test_every_unusable_camera_is_named_at_once(tmp_path: Path) -> None:
 
 
 def test_root_terms_are_those_of_colour_science() -> None:
-    colour = pytest.importorskip("colour", reason="needs the extra `reference`")
+    colour = colour_science()
     raw = np.random.default_rng(2).uniform(0, 2, (50, 4, 3))
     expected = colour.characterisation.polynomial_expansion_Finlayson2015(raw, 2, True)
     np.testing.assert_allclose(root_terms(raw), expected, atol=1e-14)

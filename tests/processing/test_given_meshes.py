@@ -256,3 +256,20 @@ def test_a_run_takes_a_given_mesh_and_occluders_from_one_camera_alone(
     without = run_command("processing", *words, "--mesh", path)
     assert without.code == 0, without.err
     assert not folder.occluders.exists()
+
+
+def test_a_given_mesh_is_cleaned_and_the_report_gets_what_went(tmp_path: Path) -> None:
+    shape = head()
+    points = on_surface(shape, 300, np.random.default_rng(0))
+    crumb = np.array([[0, 0, 300], [1, 0, 300], [0, 1, 300.0]])
+    faces = [shape.faces, shape.faces[::7], np.array([[0, 1, 2]], np.int32) + len(shape.vertices)]
+    damaged = Mesh(np.concatenate([shape.vertices, crumb]), np.concatenate(faces))
+    found = given_mesh(write_ply(damaged, tmp_path / "head.ply"), CAMERAS, points)
+    np.testing.assert_array_equal(found.mesh.vertices, shape.vertices)
+    assert len(found.mesh.faces) == len(shape.faces)
+    twice = len(shape.faces[::7])
+    assert found.facts["given_mesh_cleaned"] == {
+        "duplicate_triangles": twice, "triangles_of_islands": 1, "unused_vertices": 3,
+    }  # fmt: skip
+    words = f"duplicate triangles {twice}, triangles of islands 1, unused vertices 3"
+    assert found.warnings == [f"head.ply was cleaned: {words}"]

@@ -311,3 +311,26 @@ def test_the_picture_shows_a_fault_in_its_place(face):
     near = np.abs(image - colour).max(axis=2) < 70
     assert near[:, : ROWS // 3].mean() > 0.2
     assert near[:, ROWS // 3 + 30 :].mean() < 0.05
+
+
+def test_triangles_that_cut_through_others_are_found_where_they_are(own):
+    found, facts = check_template(own, QUICK)
+    assert facts["self_intersecting_triangles"] == 0
+    assert "self-intersections" not in facts["findings"]
+    nose = int(own.landmarks[30])
+    vertices = own.mesh.vertices.copy()
+    vertices[nose, 2] -= 250  # through the back of the head
+    bad = dataclasses.replace(own, mesh=own.mesh.with_vertices(vertices))
+    found, facts = check_template(bad, QUICK)
+    crossing = next(each for each in found if each.name == "self-intersections")
+    assert facts["self_intersecting_triangles"] == len(crossing.triangles)
+    around = np.flatnonzero((own.mesh.triangles() == nose).any(axis=1))
+    assert np.isin(around, crossing.triangles).sum() > 0.5 * len(around)
+    assert len(crossing.triangles) < 400
+
+
+def test_without_pymeshlab_the_check_reports_what_it_left_out(own, monkeypatch):
+    monkeypatch.setattr("processing.template.check.reason_without", lambda: "it is not installed")
+    _, facts = check_template(own, QUICK)
+    assert facts["not_checked"] == "self-intersections: it is not installed"
+    assert "self_intersecting_triangles" not in facts

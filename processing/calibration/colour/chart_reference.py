@@ -8,6 +8,8 @@ import numpy as np
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import read_json
+from lightstage.formats.srgb import linear_from_srgb
+from processing.colour_difference import colour_science
 
 CHART_SCHEMA = "lightstage.chart/1"
 SKIN = slice(0, 2)
@@ -24,21 +26,7 @@ CLASSIC_SRGB = np.array(
         *([160, 160, 160], [122, 122, 121], [85, 85, 85], [52, 52, 52]),
     ]
 )
-"""The maker's 8-bit sRGB values, D65, row by row from the dark skin."""
-
-LAB_2014 = np.array(
-    [
-        *([37.54, 14.37, 14.92], [64.66, 19.27, 17.50], [49.32, -3.82, -22.54]),
-        *([43.46, -12.74, 22.72], [54.94, 9.61, -24.79], [70.48, -32.26, -0.37]),
-        *([62.73, 35.83, 56.50], [39.43, 10.75, -45.17], [50.57, 48.64, 16.67]),
-        *([30.10, 22.54, -20.87], [71.77, -24.13, 58.19], [71.51, 18.24, 67.37]),
-        *([28.37, 15.42, -49.80], [54.38, -39.72, 32.27], [42.43, 51.05, 28.62]),
-        *([81.80, 2.67, 80.41], [50.63, 51.28, -14.12], [49.57, -29.71, -28.32]),
-        *([95.19, -1.03, 2.93], [81.29, -0.57, 0.44], [66.89, -0.75, -0.06]),
-        *([50.76, -0.13, 0.14], [35.63, -0.46, -0.48], [20.64, 0.07, -0.46]),
-    ]
-)
-"""The maker's L*a*b* of charts made since November 2014, D50."""
+"""The maker's 8-bit sRGB values, D65, row by row from the dark skin; colour-science lacks them."""
 
 D50_WHITE = np.array([0.96422, 1.0, 0.82521])
 D65_FROM_D50 = np.array(
@@ -75,11 +63,11 @@ def chart_reflectance(chart: str) -> np.ndarray:
         FormatError: a file that does not hold that.
     """
     if chart == "classic":
-        value = CLASSIC_SRGB / 255.0
-        curve = ((value + 0.055) / 1.055) ** 2.4
-        return np.asarray(np.where(value <= 0.04045, value / 12.92, curve))
+        return linear_from_srgb(CLASSIC_SRGB / 255.0)
     if chart == "2014":
-        return np.asarray(_xyz_from_lab(LAB_2014) @ (RGB_FROM_XYZ @ D65_FROM_D50).T)
+        colour = colour_science()
+        xyz = colour.Lab_to_XYZ(_lab_2014(), colour.XYZ_to_xy(D50_WHITE))
+        return np.asarray(xyz @ (RGB_FROM_XYZ @ D65_FROM_D50).T)
     path = Path(chart)
     if not path.is_file():
         raise FormatError(chart, found="no such chart", expected="classic, 2014 or a JSON file")
@@ -97,9 +85,9 @@ def chart_reflectance(chart: str) -> np.ndarray:
     return known
 
 
-def _xyz_from_lab(lab: np.ndarray) -> np.ndarray:
-    """(n, 3) XYZ under D50, white's Y 1, of (n, 3) L*a*b* (CIE 15)."""
-    y = (lab[:, 0] + 16) / 116
-    f = np.stack([y + lab[:, 1] / 500, y, y - lab[:, 2] / 200], axis=1)
-    cubed = np.where(f > 6 / 29, f**3, 3 * (6 / 29) ** 2 * (f - 4 / 29))
-    return np.asarray(cubed * D50_WHITE)
+def _lab_2014() -> np.ndarray:
+    """(24, 3) the maker's L*a*b* of charts made since November 2014, D50."""
+    colour = colour_science()
+    chart = colour.CCS_COLOURCHECKERS["ColorChecker24 - After November 2014"]
+    xyz = colour.xyY_to_XYZ(np.array(list(chart.data.values())))
+    return np.asarray(colour.XYZ_to_Lab(xyz, chart.illuminant))
