@@ -9,8 +9,9 @@ INSTALL := $(BIN)/python -m pip install --quiet --quiet --no-cache-dir
 # Benchmarks that ask for folders or pictures are called by hand.
 BY_HAND := atlas_rerender atlas_session geometry_pictures registration_pictures
 BENCHMARKS = $(filter-out $(BY_HAND) stale, $(notdir $(basename $(shell grep -l '__name__ == "__main__"' benchmarks/*.py))))
-# Processes that share the tests.
-WORKERS ?= 2
+# Processes that share the tests: one more than two cores have, for many tests wait (for a device's
+# answer, a deadline, a process that they started), and left a sixth of two workers' cores idle.
+WORKERS ?= 3
 # Waiting threads sleep instead of spinning: two test workers share the cores.
 export OMP_WAIT_POLICY := PASSIVE
 # Every step and many tests start a process: they need not compile this code again.

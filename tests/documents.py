@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import os
+import contextlib
+import glob
+import itertools
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
+
+from tests.programs import Ended, run_program
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {
@@ -72,16 +74,11 @@ def broken_links(page: Path) -> list[str]:
     return broken
 
 
-def run_as_written(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a command by the shell in a folder; only its program's name is replaced."""
-    program, _, rest = command.partition(" ")
-    line = f"{shlex.quote(sys.executable)} -m {PACKAGES[program]} {rest}"
-    return subprocess.run(
-        line,
-        shell=True,
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def run_as_written(command: str, folder: Path) -> Ended:
+    """Run a command in a folder, in this process, with the words that a shell would give it."""
+    program, *words = shlex.split(command)
+    if syntax := set("|<>&;$`~") & set(command):
+        raise ValueError(f"{command}: {syntax} mean something to a shell that is not done here")
+    with contextlib.chdir(folder):
+        expanded = [sorted(glob.glob(word)) if "*" in word else [word] for word in words]
+        return run_program(PACKAGES[program], *itertools.chain(*expanded))

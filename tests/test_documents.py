@@ -35,8 +35,8 @@ PEOPLE = ("person-0000", "person-0001", "person-0002")
 def help_of(*words: str) -> str:
     """What `WORDS --help` says."""
     printed = run_as_written(shlex.join([*words, "--help"]), ROOT)
-    assert printed.returncode == 0, printed.stderr
-    return printed.stdout
+    assert printed.code == 0, printed.err
+    return printed.out
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -85,10 +85,10 @@ def test_the_commands_and_examples_of_the_datasets_page_run_as_written(
     for command in commands(DATASET):
         if command.startswith("lightstage-processing dataset"):
             done = run_as_written(command, tmp_path)
-            assert done.returncode == 0, f"{command}\n{done.stderr}"
+            assert done.code == 0, f"{command}\n{done.err}"
             ran.append(command.split(" ")[2])
             if "build" in command:
-                assert "passed over people.json, people.lock" in done.stdout
+                assert "passed over people.json, people.lock" in done.out
     assert ran[:2] == ["build", "publish"]
     monkeypatch.chdir(tmp_path)
     examples = blocks(DATASET, "python")
@@ -97,10 +97,10 @@ def test_the_commands_and_examples_of_the_datasets_page_run_as_written(
         exec(compile(example, "docs/dataset.md", "exec"), {"__name__": "example"})
     train = "lightstage-learning train --preset demo --data PUB --out RUN"
     refused = run_as_written(train, tmp_path)
-    assert refused.returncode == 2
-    assert "dataset.json" in refused.stderr
-    assert "the whole texture" in refused.stderr
-    assert "Traceback" not in refused.stderr
+    assert refused.code == 2
+    assert "dataset.json" in refused.err
+    assert "the whole texture" in refused.err
+    assert "Traceback" not in refused.err
     assert json.loads((tmp_path / "PUB" / "dataset.json").read_text())["counts"]["subjects"] == 3
 
 

@@ -6,6 +6,7 @@ replaced in turn by values of other kinds: the file is read, or refused by its n
 """
 
 import copy
+import functools
 import json
 import os
 import shutil
@@ -18,6 +19,7 @@ from lightstage.cameras.cameras_file import read_cameras_file
 from lightstage.capture.command import read_config
 from lightstage.capture.session_run import config_of, unfinished
 from lightstage.errors import LightstageError
+from lightstage.formats import template
 from lightstage.formats.calibration_shots import read_shots
 from lightstage.formats.cameras import read_session_cameras
 from lightstage.formats.config import as_dict, read_toml
@@ -387,20 +389,20 @@ def put(value, at, other):
 
 
 @pytest.mark.parametrize("name", [name for name in READERS if not name.endswith(".jsonl")])
-def test_a_value_of_another_kind_is_taken_or_refused_by_the_files_name(whole, tmp_path, name):
+def test_a_value_of_another_kind_is_taken_or_refused_by_the_files_name(
+    whole, tmp_path, monkeypatch, name
+):
     root = tmp_path / "copy"
     shutil.copytree(whole, root)
     path, reader = root / name, ALL[name]
     value = json.loads(path.read_text())
     if name == "template/template.json":
         value["regions"] = {"skin": [0, 1]}
-        path_of_all = [at for at in places(value) if "maps" not in at]
-    else:
-        path_of_all = list(places(value))
-    for at in path_of_all:
-        for other in OTHERS if name != "template/template.json" or at else OTHERS[:1]:
-            if name == "template/template.json" and other not in (None, 3, "x", {"x": {}}):
-                continue  # the mesh is read each time
+        for beside in ("read_obj", "_load_modes", "read_surface_points"):
+            once = functools.cache(getattr(template, beside))
+            monkeypatch.setattr(template, beside, once)
+    for at in places(value):
+        for other in OTHERS:
             path.write_text(json.dumps(put(value, at, other)))
             facts = read(reader, path)
             assert facts is None or path.name in facts or str(root) in facts, (at, other, facts)

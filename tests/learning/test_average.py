@@ -66,11 +66,13 @@ def test_an_average_is_that_of_a_plain_twin(decay: float) -> None:
 def test_a_resumed_training_has_the_same_bits_its_average_too(
     family: str, store_path: Path, tmp_path: Path
 ) -> None:
+    """Of super-resolution, each step has a learning rate of its own."""
     config, load, role = ALL[family]
     store = open_store(store_path)
     straight = train(store, tmp_path / "a", config)
     with pytest.raises(KeyboardInterrupt):
         train(store, tmp_path / "b", config, progress=stopping_after(2))
+    assert read_checkpoint(tmp_path / "b").step == 2
     assert train(store, tmp_path / "b", config, resume=True).score == straight.score
     first, second = (read_checkpoint(tmp_path / name) for name in "ab")
     assert first.files == second.files

@@ -229,23 +229,6 @@ def test_what_is_loaded_is_what_was_trained_and_no_other_family(
         load_generator(run)
 
 
-def test_resuming_goes_on_as_if_never_interrupted(
-    run: Path, store_path: Path, tmp_path: Path
-) -> None:
-    def stop(done: int, total: int) -> None:
-        if done == 2:
-            raise KeyboardInterrupt
-
-    store, out = open_store(store_path), tmp_path / "run"
-    with pytest.raises(KeyboardInterrupt):
-        train(store, out, TINY, progress=stop)
-    assert read_checkpoint(out).step == 2
-    assert train(store, out, TINY, resume=True).steps == 6
-    straight = load_four_networks(run)[0].state_dict()
-    for name, value in load_four_networks(out)[0].state_dict().items():
-        torch.testing.assert_close(value, straight[name], rtol=1e-4, atol=1e-6)
-
-
 def test_damaged_networks_are_refused(run: Path, tmp_path: Path) -> None:
     other = tmp_path / "run"
     other.mkdir()

@@ -32,7 +32,6 @@ from learning.upscale.data import Pictures, downsampled
 from learning.upscale.infer import enlarge_encoded, upscale
 from learning.upscale.network import Rcan, RcanConfig
 from learning.upscale.score import BLOCK_PX, Detail, detail, interpolated, score_upscaling
-from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
 from lightstage.formats.exr import read_exr, write_exr
 from processing.dataset import build_store, open_store
@@ -255,28 +254,6 @@ def test_training_beats_bicubic_and_scores(store_path: Path, tmp_path: Path) -> 
     assert bool((network.mean_srgb != 0.5).all())
     with pytest.raises(CheckpointError, match="found super_resolution, expected whole_face"):
         load_whole_face(tmp_path / "whole")
-
-
-def test_a_resumed_training_has_the_same_bits(store_path: Path, tmp_path: Path) -> None:
-    # Interrupted while the learning rate is its second of five.
-    pictures = dataclasses.replace(TINY.pictures, count=2)
-    config = dataclasses.replace(TINY, steps=8, pictures=pictures)
-    store = open_store(store_path)
-
-    def stop(done: int, total: int) -> None:
-        if done == 3:
-            raise KeyboardInterrupt
-
-    interrupting: ProgressCallback = stop
-    train(store, tmp_path / "whole", config)
-    with pytest.raises(KeyboardInterrupt):
-        train(store, tmp_path / "parts", config, progress=interrupting)
-    train(store, tmp_path / "parts", config, resume=True)
-    one, other = (load_super_resolution(tmp_path / name)[0] for name in ("whole", "parts"))
-    assert all(
-        torch.equal(a, b)
-        for a, b in zip(one.state_dict().values(), other.state_dict().values(), strict=True)
-    )
 
 
 def test_light_above_white_stays_and_what_is_below_black_is_black() -> None:

@@ -28,6 +28,7 @@ from tests.processing.releases import (
     SIZE,
     SMALL,
     Make,
+    open_in_memory,
     publish,
     read,
     small_store,
@@ -132,8 +133,8 @@ def test_a_release_leaves_out_a_share_of_everybody_drawn_anew(
     tmp_path: Path, make_processed: Make
 ) -> None:
     roots = [make_processed(tmp_path / f"{i}", 192, 128, subject=f"p{i}", seed=i) for i in range(3)]
-    everyone = open_store(build_store(roots, tmp_path / "one"))
-    fewer = open_store(build_store(roots[:2], tmp_path / "two"))
+    everyone = open_in_memory(build_store(roots, tmp_path / "one"))
+    fewer = open_in_memory(build_store(roots[:2], tmp_path / "two"))
 
     def patches(store: Store, name: str, seed: int | None, drop: float) -> set[bytes]:
         out = publish(store, tmp_path / name, seed, dataclasses.replace(SMALL, drop=drop))
@@ -206,7 +207,7 @@ def test_neighbours_are_not_found_by_their_borders(tmp_path: Path, make_processe
         roots.append(make_processed(tmp_path / name, 384, 256, subject=name))
         blotches = cv2.GaussianBlur(rng.normal(0.4, 1.0, (384, 256, 3)), (0, 0), 2.0)
         ProcessedFolder(roots[-1]).write_atlas("diffuse_albedo", blotches)
-    store = open_store(build_store(roots, tmp_path / "store"))
+    store = open_in_memory(build_store(roots, tmp_path / "store"))
     touching = dataclasses.replace(SMALL, gap=0.0, wander=0.0, turned=False, min_coverage=0.9)
     assert right_neighbours_found(store, touching) > 0.9
     defaults = PublishConfig(patch_px=SIZE)

@@ -195,7 +195,7 @@ def test_albedo_is_the_balls_own(world, plain):
 
 def test_a_persons_albedo_is_the_same_by_either_drive(tmp_path):
     """Through the cameras' mosaics and noise, with cast shadows."""
-    rig = default_rig().scaled(0.04)
+    rig = default_rig().scaled(0.03)
     person = load_subject("anna", 3, None, 192)
     world = World(person, dataclasses.replace(rig, cameras=rig.cameras[:1]))
     shape = coarser(Mesh(person.mesh.vertices, person.mesh.triangles()), 12_000)

@@ -164,7 +164,7 @@ def test_no_face_in_any_picture_is_reported():
             return dict.fromkeys(pictures, np.full((68, 2), np.nan))
 
     with pytest.raises(RegistrationError, match="23 other turns"):
-        landmarks_of_mesh(MESH, Blind(), 2.5, MARKS)
+        landmarks_of_mesh(TEMPLATE.mesh, Blind(), 2.5, MARKS)
 
 
 def test_a_missing_file_of_clicks_is_reported(tmp_path):

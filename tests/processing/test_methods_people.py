@@ -19,10 +19,10 @@ from processing.decode.stage import DecodeConfig, decode
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
 from sim.light.world import World
-from sim.people.subjects import load_subject
 from sim.session import SessionConfig, truth_path, write_direct
 from sim.truth import write_truth
 from tests.processing.lit_ball import angle_deg
+from tests.sim.conftest import one_person
 
 SEQUENCES = ("binary", "linear", "binary-polarised")
 
@@ -32,9 +32,7 @@ def people(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Pa
     """Sequence to a session of one person and its decoded folder."""
     root = tmp_path_factory.mktemp("people")
     rig = default_rig().scaled(0.04)
-    world = World(
-        load_subject("parametric", 3, None, 384), dataclasses.replace(rig, cameras=rig.cameras[:1])
-    )
+    world = World(one_person(), dataclasses.replace(rig, cameras=rig.cameras[:1]))
     made = {}
     for sequence in SEQUENCES:
         session, out = root / sequence, root / f"{sequence}.out"

@@ -25,13 +25,12 @@ from processing.reconstruction.stage import reconstruct_views
 from processing.registration.stage import RegisterConfig
 from processing.separation.choice import no_normals
 from sim.light.world import World
-from sim.people.subjects import load_subject
 from sim.session import SessionConfig, truth_path, write_direct
 from sim.truth import write_truth
 from tests.processing import lit_ball, textured_ball
 from tests.processing.shots import coloured_rig
 from tests.processing.textured_ball import RADIUS_MM
-from tests.sim.conftest import ball_subject
+from tests.sim.conftest import ball_subject, one_person
 
 TEMPLATE = default_template_path()
 ONE_LIGHT = "expected patterns that light a face from three directions: photographs under x"
@@ -45,7 +44,7 @@ def small_rig() -> Rig:
 
 def photographed(rig: Rig, sequence: str, root: Path) -> Path:
     """A session of one person, truth beside it."""
-    world = World(load_subject("parametric", 3, None, 384), rig)
+    world = World(one_person(), rig)
     write_direct(world, root / "session", SessionConfig(sequence=sequence), 3, quiet)
     write_truth(world, truth_path(root / "session"))
     return root / "session"

@@ -18,11 +18,11 @@ from processing import pipeline
 from processing.pipeline import PipelineConfig, run
 from processing.refinement.config import RefineConfig
 from sim.light.world import World
-from sim.people.subjects import load_subject
 from sim.session import SessionConfig, truth_path, write_direct
 from sim.truth import write_truth
 from tests.processing.lit_ball import angle_deg
 from tests.processing.shots import coloured_rig
+from tests.sim.conftest import one_person
 
 CONFIG = PipelineConfig(
     refine=RefineConfig(
@@ -39,7 +39,7 @@ def one_camera() -> Rig:
 def photographed(rig: Rig, sequence: str, root: Path) -> Path:
     """A session of one person, truth beside it."""
     session = root / "session"
-    world = World(load_subject("parametric", 3, None, 384), rig)
+    world = World(one_person(), rig)
     write_direct(world, session, SessionConfig(sequence=sequence), 3, quiet)
     write_truth(world, truth_path(session))
     return session

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
 from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera, Light, Rig, look_at
 from sim.people.subject import Subject
+from sim.people.subjects import load_subject
+
+
+@functools.cache
+def one_person() -> Subject:
+    """A parametric person of 384 rows, made once; not to be changed."""
+    return load_subject("parametric", 3, None, 384)
 
 
 def ball_mesh(radius_mm: float = 80.0, rows: int = 48, columns: int = 96) -> Mesh:
