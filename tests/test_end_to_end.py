@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import signal
@@ -19,27 +18,19 @@ import pytest
 from demo.measure import Measured, run_measured, tree_rss_kb
 from demo.report import write_demo_report
 from demo.run import run
-from demo.steps import ABOUT, DemoConfig, Layout
+from demo.steps import ABOUT, Layout
+from demo.tiny import CAMERAS, tiny_config
 from lightstage.formats.exr import read_exr
 from lightstage.formats.files import read_json
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
-from lightstage.rig import default_rig, save_rig
 from tests.documents import PACKAGES, ROOT, commands, options, run_as_written
 from tests.programs import run_program
 
-CAMERAS = ("cam0", "cam1", "cam2", "cam5", "cam6")
 DONE_BY_THE_DEMO = ("lightstage-sim session", "lightstage-sim dataset", "lightstage-processing run")
 DONE_BY_THE_DEMO += ("lightstage-processing evaluate", "lightstage-learning ")
 """Commands that take long: the demo has run them with the same options, and sizes besides."""
 PATTERNS = ("full", "x+", "x-", "y+", "y-", "z+", "z-")
-
-
-def tiny_rig(path: Path) -> Path:
-    """Five cameras of 240 x 360 pixels and every fourth of the default lights."""
-    rig = default_rig().scaled(360 / 6016)
-    cameras = tuple(camera for camera in rig.cameras if camera.id in CAMERAS)
-    return save_rig(dataclasses.replace(rig, lights=rig.lights[::4], cameras=cameras), path)
 
 
 def in_this_process(command: Sequence[str]) -> Measured:
@@ -66,16 +57,7 @@ def test_the_demo_runs_end_to_end_on_a_tiny_rig(
 ) -> None:
     monkeypatch.setattr("demo.run.run_measured", in_this_process)
     at = Layout(tmp_path / "demo")
-    config = DemoConfig(
-        "parametric",
-        rig=tiny_rig(tmp_path / "rig.json"),
-        scale=1.0,
-        atlas_rows=384,
-        skin_rows=384,
-        people=2,
-        train_seconds=2,
-        refine_seconds=3,
-    )
+    config = tiny_config(tmp_path / "rig.json")
     assert run(config, at.root) == 0
     session_is_whole(at)
     maps_are_near_the_truth(at)

@@ -183,9 +183,9 @@ def best_model(
         for name, richer in richer_models(model, bounced is not None, len(config.scattering)):
             if name in steps and steps[name].gain < HOPELESS:
                 continue
-            for looked_at, simple in ((few, best.thinned()), (samples, best)):
-                rich = fitted(best.scene, richer, looked_at, groups, bounced, config, ROUNDS, simple)
-                step = compared(name, simple, rich, looked_at, richer.facets.stretch != 1)
+            for some, simple in ((few, best.thinned()), (samples, best)):
+                rich = fitted(simple.scene, richer, some, groups, bounced, config, ROUNDS, simple)
+                step = compared(name, simple, rich, some, richer.facets.stretch != 1)
                 if step.gain + SURE * step.error < HOPELESS:
                     break
             steps[name] = step
