@@ -32,8 +32,8 @@ def description(facts: Mapping[str, Any]) -> str:
     return (
         f"{counted(counts['patches'], 'square patch', 'square patches')} of facial skin of "
         f"{counted(counts['subjects'], 'person', 'people')}, {size} texels wide: diffuse and "
-        "specular albedo, two maps of normals, and shape in mm. Nothing says which patches are of "
-        "one person, where they lay, or when they were taken."
+        "specular albedo, two maps of normals, and shape in mm. Nothing shows which patches are of "
+        "one person, where they were, or when they were taken."
     )
 
 
@@ -117,7 +117,7 @@ def uses() -> list[str]:
     """What it is fit for, and what not."""
     return [
         "Statistics and textures of facial skin, and networks that work on patches.",
-        "Not for finding out who is shown, not for telling people apart, not for medicine.",
+        "Not for finding out who is shown, not for distinguishing people, not for medicine.",
     ]
 
 
