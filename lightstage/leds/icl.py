@@ -26,7 +26,7 @@ RECOVER_S = 10.0
 DARK_AGAIN_S = 5.0
 """So long where the lights are only to go out."""
 WILL_NUMBER = (1 << 53) - 1
-"""Of the guardian's request; a capture's numbers stay far below."""
+"""Number of the guardian's request; a capture's numbers stay far below."""
 
 
 class IclLeds(UnansweredLeds):

@@ -19,7 +19,7 @@ from lightstage.wiring.identify import identify
 from lightstage.wiring.walk import STEPS, corrections
 
 LEVEL = 0.5
-"""Of the lamp that shines: plain to see, and a lamp bears it as long as anybody looks."""
+"""Level of the lamp that shines: plain to see, and a lamp bears it as long as anybody looks."""
 MOST_CHANNELS = 65535
 DIGITS = "0123456789"
 
