@@ -38,7 +38,7 @@ class Sample:
     """A person held out: linear, (1, 3, h, w) each.
 
     Attributes:
-        name: who.
+        name: pseudonym of the person.
         texture: what the network saw, light in it.
         found: diffuse albedo.
         truth: diffuse albedo.

@@ -23,7 +23,7 @@ TOLERANCE = 1e-3
 LINKS = 1.5
 """What six edges at a vertex weigh beside the four of a grid of squares."""
 SMALL = 0.3
-"""Share of the points' relief below which the mesh follows normals: the points have them already."""
+"""Share of the points' relief below which the mesh follows normals, as the points did already."""
 
 
 def finer(
