@@ -56,7 +56,7 @@ def write_samples(folder: Path, title: str, sentence: str, samples: Sequence[Sam
     Args:
         folder: of the run.
         title: of the page.
-        said: a sentence beneath it.
+        sentence: what is written beneath the title.
         samples: in order.
 
     Returns:

@@ -281,7 +281,7 @@ class IclLeds(UnansweredLeds):
             name,
             f"no answer in {self._timeout_s:g} s, asked {times} times",
             "an answer",
-            "Is the server busy? A slower one's timeout_s stands in the URL.",
+            "Is the server busy? A slower one's timeout_s is set in the URL.",
         )
 
     def _lost(self, field: str, found: str, expected: str, hint: str = "") -> LightLostError:

@@ -39,7 +39,7 @@ def _lights() -> None:
 
 
 def identify_command(
-    rig: Path = typer.Option(..., "--rig", help="rig.json: where the lights stand."),
+    rig: Path = typer.Option(..., "--rig", help="rig.json: the places of the lamps."),
     leds: str = typer.Option(..., help="The LED device, as for `capture`."),
     out: Path = output_file(
         "--out",

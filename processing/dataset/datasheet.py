@@ -66,7 +66,7 @@ def _sections(about: About, facts: Mapping[str, Any], form: str) -> dict[str, di
             "Which people does it show?": "\n".join(
                 f"- {each}" for each in statements.people(facts)
             ),
-            "Whom do they stand for, and who is missing?": answers.representation,
+            "Whom do they represent, and who is missing?": answers.representation,
             "Can people be recognised?": str(facts["cannot_protect"]),
             "Is anything in it sensitive?": " ".join(statements.personal(facts)),
         },

@@ -96,7 +96,7 @@ def personal(facts: Mapping[str, Any]) -> list[str]:
     consent = facts["consent"]
     sentences = [
         "A patch is a picture of somebody's skin and may show a mole, a scar or a wrinkle. Skin "
-        "tone is seen in every patch. Names, identifiers, dates, age and sex stand at no patch.",
+        "tone is seen in every patch. Names, identifiers, dates, age and sex are at no patch.",
         f"A consent is on record of {counted(consent['subjects_on_record'], 'person', 'people')}; "
         f"{consent['subjects_simulated']} are simulated, and of {consent['subjects_without']} "
         "there is no record.",
