@@ -63,7 +63,7 @@ class Bench:
 
 @contextmanager
 def every_tile() -> Iterator[None]:
-    """Each view looks at each tile."""
+    """Each view samples each tile."""
 
     def all_of_them(self: TileBounds, place_mm: np.ndarray, least_cos: float) -> np.ndarray:
         del place_mm, least_cos
@@ -106,7 +106,7 @@ class Merged:
     Attributes:
         values: (k, d).
         seconds: processor's, of each part.
-        shares: of tiles looked at, of pixels kept, and of samples that give detail.
+        shares: of tiles sampled, of pixels kept, and of samples that give detail.
     """
 
     values: np.ndarray

@@ -1,7 +1,7 @@
 """A head photographed, made into an avatar, and scored against the truth over the face.
 
 A head that took minutes to make is kept as it was scored in LIGHTSTAGE_BENCHMARK_DATA, by commit,
-so that a benchmark that was stopped goes on where it was.
+so that a benchmark that was stopped continues where it was.
 """
 
 from __future__ import annotations

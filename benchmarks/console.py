@@ -1,7 +1,7 @@
 """The operator's page: how soon a photograph is seen, how soon a stop is dark, and what it costs.
 
 `python -m benchmarks.console` starts `lightstage console` as a user does, and visits it as a
-browser does: one stream of events, and for each photograph that it tells, the small picture.
+browser does: one stream of events, and for each photograph in it, the small picture.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Visitor:
         return self._ask("POST", path, headers, body)[0].decode()
 
     def events(self, path: str, stop: threading.Event) -> Iterator[dict[str, Any]]:
-        """What a stream of events tells, until `stop` is set."""
+        """The events of a stream, until `stop` is set."""
         connection = http.client.HTTPConnection(self._host, self._port, timeout=60)
         with contextlib.closing(connection):
             connection.request("GET", path, None, self._headers)

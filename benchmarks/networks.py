@@ -65,7 +65,7 @@ def main() -> None:
     parser.add_argument("--unseen", action="store_true", help="ICT's people that are kept apart")
     parser.add_argument("--quick", action="store_true", help="a head a kind, three lights, 384")
     parser.add_argument("--checkpoint", type=Path, help="a run; the shipped weights else")
-    parser.add_argument("--sheet", type=Path, help="a picture to look at, .png")
+    parser.add_argument("--sheet", type=Path, help="a sheet of pictures, .png")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     arguments = parser.parse_args()
     count = arguments.count or (1 if arguments.quick else None)

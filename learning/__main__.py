@@ -189,8 +189,10 @@ def occlusion(
             "such as one person's expressions."
         ),
     ] = None,
-    rows: Annotated[int, typer.Option(help="Rows of the texture shadows are baked in.")] = 96,
-    directions: Annotated[int, typer.Option(help="Lights all round that are baked.")] = 2048,
+    rows: Annotated[int, typer.Option(help="Rows of the texture in which shadows are baked.")] = 96,
+    directions: Annotated[
+        int, typer.Option(help="Number of lights all round that are baked.")
+    ] = 2048,
     network: Path | None = output_folder(
         "--network",
         help="Train the published network on the same pictures too, and score both: folder of its "
@@ -249,7 +251,7 @@ def train(
         ),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the preset's.")] = None,
-    resume: Annotated[bool, typer.Option(help="Go on from the run's checkpoint.")] = False,
+    resume: Annotated[bool, typer.Option(help="Continue from the run's checkpoint.")] = False,
     device: DeviceOption = "auto",
     consents: Path | None = ConsentsOption,
     environment: Annotated[
@@ -305,7 +307,7 @@ def infer(
     out: Annotated[Path, output_folder("--out", help="Folder for the maps.")],
     checkpoint: Annotated[
         Path | None,
-        typer.Option(help="Run folder or its checkpoint.json; the weights that are shipped else."),
+        typer.Option(help="Run folder or its checkpoint.json; without it the shipped weights."),
     ] = None,
     head_pose: Annotated[
         Path | None,
@@ -327,7 +329,7 @@ def infer(
         str | None,
         typer.Option(
             help="Pores and folds of refined textures: run folder of a `mesostructure` training, "
-            "or `none`: normals are the mesh's then. The weights that are shipped else."
+            "or `none`, which keeps the mesh's normals. Without it the shipped weights."
         ),
     ] = None,
     device: DeviceOption = "auto",
@@ -360,13 +362,13 @@ def upscale(
     checkpoint: Annotated[
         Path | None,
         typer.Option(
-            help="Run folder of a `rcan` or `rcan-small` training, or its checkpoint.json; the "
-            "weights that are shipped else."
+            help="Run folder of a `rcan` or `rcan-small` training, or its checkpoint.json; "
+            "without it the shipped weights."
         ),
     ] = None,
     times: Annotated[
         int | None,
-        typer.Option(help="The enlargement to make sure of; the network has one, mostly 8."),
+        typer.Option(help="Refuse a network of another enlargement than this; most have 8."),
     ] = None,
     device: DeviceOption = "auto",
     as_json: bool = JsonFlag,

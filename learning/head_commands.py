@@ -53,7 +53,7 @@ def export(
         Path | None,
         typer.Option(
             help="Template whose expressions become morph targets under ARKit's names, and whose "
-            "shininess stands for a map of roughness that is missing."
+            "shininess replaces a missing map of roughness."
         ),
     ] = None,
     compare: Annotated[
@@ -145,7 +145,7 @@ def evaluate(
     ] = None,
     recogniser_size: Annotated[
         int | None,
-        typer.Option(help="Side of its pictures, px, where the file does not tell it."),
+        typer.Option(help="Side of its pictures, px, where the file does not state it."),
     ] = None,
     recogniser_range: Annotated[
         str,
@@ -153,7 +153,7 @@ def evaluate(
     ] = "signed",
     out: Path | None = output_file(
         "--out",
-        help="Figures to write, .json; a table with .md stands beside it.",
+        help="Figures to write, .json; a table with .md is written beside it.",
         suffixes=[".json"],
         default=None,
     ),

@@ -11,7 +11,7 @@ import numba
 
 BatchT = TypeVar("BatchT")
 SAFE_LAYERS = ("omp", "tbb")
-"""Of numba's layers of threads, those that several threads may use at once [Numba2024]."""
+"""Those of numba's layers of threads that several threads may use at once [Numba2024]."""
 
 
 def threads_may_render() -> bool:

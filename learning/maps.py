@@ -21,7 +21,7 @@ from lightstage.formats.template import Template
 SHININESS = 32.0
 """Blinn-Phong's exponent where there is no map: Beckmann m = 0.25, skin's middle."""
 ROUGHNESS_RANGE = (0.05, 0.95)
-"""Of Beckmann's m that is taken from a map: the exponents 798 and 0.2."""
+"""Range of Beckmann's m that is taken from a map: the exponents 798 and 0.2."""
 TRANSLUCENCY = 0.5
 """Translucency where there is no map."""
 

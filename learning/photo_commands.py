@@ -31,8 +31,8 @@ FaceTemplateOption = Annotated[
 CheckpointOption = Annotated[
     Path | None,
     typer.Option(
-        help="Run folder of a whole-face network, or its checkpoint.json; the weights that are "
-        "shipped else."
+        help="Run folder of a whole-face network, or its checkpoint.json; without it the shipped "
+        "weights."
     ),
 ]
 MarksOption = Annotated[
@@ -43,7 +43,7 @@ MarksOption = Annotated[
         "or MediaPipe's 468); detected without it.",
     ),
 ]
-FaceOption = Annotated[int, typer.Option("--face", help="Which face, 1 is the largest.")]
+FaceOption = Annotated[int, typer.Option("--face", help="Number of the face; 1 is the largest.")]
 FilmOption = Annotated[
     float | None,
     typer.Option(
@@ -142,7 +142,7 @@ def avatar(
     until: Annotated[str, typer.Option(help="Last stage: `fit`, `detail` or `export`.")] = "export",
     as_json: bool = JsonFlag,
 ) -> None:
-    """Make a head that leaves the program from photographs of one person: fit, detail, export."""
+    """Make a head for other programs from photographs of one person: fit, detail, export."""
     from learning.avatar import avatar_command
     from learning.photo.command import FitRequest
 

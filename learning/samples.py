@@ -38,7 +38,7 @@ class Sample:
     """A person held out: linear, (1, 3, h, w) each.
 
     Attributes:
-        name: who.
+        name: pseudonym of the person.
         texture: what the network saw, light in it.
         found: diffuse albedo.
         truth: diffuse albedo.
@@ -56,7 +56,7 @@ def write_samples(folder: Path, title: str, sentence: str, samples: Sequence[Sam
     Args:
         folder: of the run.
         title: of the page.
-        said: a sentence beneath it.
+        sentence: what is written beneath the title.
         samples: in order.
 
     Returns:

@@ -35,8 +35,8 @@ TRAINERS: dict[str, tuple[type[Trainer[Any, Any]], Callable[..., Task[Any, Any]]
     UpscaleTrainConfig.family: (UpscaleTrainer, upscale_task),
     MesostructureTrainConfig.family: (MesostructureTrainer, mesostructure_task),
 }
-"""Of each family, its trainer, and what makes its task of that trainer, the store, people trained
-on, people held out, and the run that has begun."""
+"""For each family its trainer, and the function that makes its task from that trainer, the store,
+people trained on, people held out, and the run that has begun."""
 
 
 def train(

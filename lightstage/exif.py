@@ -128,7 +128,7 @@ def _parts(reader: Reader) -> Iterator[Directory]:
 
 
 def _tiff_parts(reader: Reader) -> Iterator[Directory]:
-    """A TIFF's directories, with the makers' notes that stand in EXIF's."""
+    """A TIFF's directories, with the makers' notes that are in EXIF's."""
     order = "<" if reader.bytes_at(0, 2) == b"II" else ">"
     make = ""
     for directory in directories(reader):

@@ -47,7 +47,7 @@ def calibrate_line(kind: str, rig: Path, lab: Path, options: Sequence[str]) -> s
     """What to type to resume unfinished calibration shots.
 
     Args:
-        kind: of them.
+        kind: of the shots, such as ``charuco``.
         rig: path of rig.json.
         lab: the lab's folder.
         options: as the command was given them.

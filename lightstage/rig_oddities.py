@@ -14,14 +14,14 @@ USUAL_RADIUS_MM = (250.0, 10_000.0)
 RADIUS_SPREAD = 0.1
 """Share of the median distance by which a light may stand nearer or farther."""
 CLOSE_SHARE = 0.1
-"""Of the median distance to the nearest neighbour: lights nearer than this stand in one place."""
+"""Share of the median distance to the nearest neighbour: nearer lights are in one place."""
 ONE_SIDED = 0.5
 """Length of the lights' mean direction above which they do not stand all around."""
 GAIN_RATIO = 3.0
 """Gains this far from the median's are odd."""
 BANK_SHARE = 0.1
 CENTRE_SHARE = 0.15
-"""Of the picture's side: how far the principal point may be from the middle."""
+"""Share of the picture's side by which the principal point may be off the middle."""
 FOCAL_RATIO = 1.02
 FRONT_DEG = 60.0
 """Some camera is within this angle of +z, which is before the face."""

@@ -7,7 +7,7 @@ from scipy import sparse
 from scipy.sparse.linalg import cg
 
 TOLERANCE, MOST_STEPS = 1e-7, 400
-"""Of the conjugate gradients: share of the first residual that may be left, and steps."""
+"""End of the conjugate gradients: share of the first residual that may be left, and steps."""
 
 
 def curved_middles(vertices: np.ndarray, normals: np.ndarray, ends: np.ndarray) -> np.ndarray:

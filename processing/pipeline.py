@@ -120,7 +120,7 @@ def read_config(
         atlas_rows: height of the atlas in texels.
         mesh: of the head, in place of a reconstructed one.
         occluders: mesh of what else casts shadows.
-        force: go on where photographs contradict each other or their patterns.
+        force: continue where photographs contradict each other or their patterns.
 
     Raises:
         ConfigError: an unknown table or key, or a value of another type.

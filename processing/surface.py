@@ -32,7 +32,7 @@ SECOND_DIFFERENCES = tuple(
         [[1, 0, 0], [0, -2, 0], [0, 0, 1]], [[0, 0, 1], [0, -2, 0], [1, 0, 0]],
     )
 )  # fmt: skip
-"""Of depth: along rows, columns and both diagonals."""
+"""Steps of depth: along rows, columns and both diagonals."""
 SKY_MM = 1e5
 """Length of the rays of ambient occlusion: far beyond the stage."""
 

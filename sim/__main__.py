@@ -32,7 +32,7 @@ SUBJECT_HELP = (
     "name: a parametric person."
 )
 MOST_STOPS = 64
-"""Of exposure: more would leave every picture black or white."""
+"""Largest change of exposure, in stops: more would leave every picture black or white."""
 app = make_app("A light stage without the hardware: people, light, sessions, targets, data sets.")
 add_import_commands(app)
 add_stage_commands(app)

@@ -16,8 +16,8 @@ from scipy import fft
 from learning.vectors import unit
 
 TOLERANCE = 1e-4
-"""Of the residual, of the right side's length, at which the search ends: a captured head's heights
-are within a ten-thousandth of those at 1e-6 by then, in a third of the rounds."""
+"""Residual, relative to the right side's length, at which the search ends: a captured head's
+heights are within a ten-thousandth of those at 1e-6 by then, in a third of the rounds."""
 MOST_ROUNDS = 300
 LEAST_FACING = 0.2
 """Cosine between a fine normal and the mesh's below which the fine one determines no height."""

@@ -22,7 +22,7 @@ SIDE_PX = (16, 1024)
 RANGES = {"signed": (-1.0, 1.0), "unit": (0.0, 1.0), "bytes": (0.0, 255.0)}
 """What black and white are to a network, by the word that names it."""
 LEAST_NUMBERS = 2
-"""Of an embedding: the cosine of single numbers means nothing."""
+"""Least number of numbers of an embedding: the cosine of single numbers means nothing."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -36,7 +36,7 @@ DIRECTIONS = {
 DISTANCE_MM = 1500.0
 """Distance at which directional lamps are placed for their shadows: far for a head."""
 STRENGTH, AMBIENT = 0.9, 0.05
-"""Of the directional lamp, and beside it from everywhere."""
+"""Strength of the directional lamp, and of the light from everywhere beside it."""
 
 
 def lights_around(target: Environment) -> dict[str, Environment]:

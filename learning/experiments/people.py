@@ -21,7 +21,7 @@ NAMED = 6
 TRAINED, HELD_OUT = "a", "b"
 """Before people's names: a training holds out the last ones by name."""
 TONE_STEP = 4
-"""Of a texture's rows and columns, for the mean colour of a skin."""
+"""Step over a texture's rows and columns, for the mean colour of a skin."""
 
 
 @dataclasses.dataclass(frozen=True)

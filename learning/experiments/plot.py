@@ -17,7 +17,7 @@ WIDTH, HEIGHT = 760, 360
 LEFT, RIGHT, TOP, BOTTOM = 70, 20, 40, 96
 INK, DOT, MEAN, GRID = "#222", "#7aa6d6", "#b03a2e", "#ddd"
 LETTERS = 16
-"""Of a column's name, at most, before it is cut into lines."""
+"""Letters of a column's name, at most, before it is cut into lines."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -64,12 +64,12 @@ ABOUT, FIGURES_FILE, TRAINING = "run.json", "figures.json", "training"
 SHADOWS = "shadows"
 """Folder beside the runs: shadows that all of them share."""
 LEAST_SECONDS = 1e-3
-"""Of a training whose time was used up before it was scored: one more step."""
+"""Seconds of a training whose time was used up before it was scored: one more step."""
 DONE, DIVERGED, STOPPED = "done", "diverged", "stopped"
 SHOWN = (TARGET, SIDE)
 """Lights of the pictures."""
 PICTURE_ROWS = 384
-"""Of a picture, at most."""
+"""Rows of a picture, at most."""
 
 
 @dataclasses.dataclass(frozen=True)

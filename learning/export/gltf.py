@@ -128,7 +128,7 @@ def write_glb(
     Args:
         path: the file.
         source: mesh and maps.
-        pictures: of it.
+        pictures: of the head.
         morphs: by name (n, 3) offsets of the mesh's vertices, mm.
 
     Returns:

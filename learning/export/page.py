@@ -20,7 +20,7 @@ from lightstage.formats.files import write_text
 
 DATA = Path(__file__).parents[1] / "data"
 MOST_ROWS = 2048
-"""Of the pictures in a page; larger ones are halved by areas until they fit."""
+"""Rows of the pictures in a page; larger ones are halved by areas until they fit."""
 MOST_BYTES = 25_000_000
 QUALITY = {"base": 92, "normal": 95, "packed": 92}
 """JPEG's, by picture; the specular picture keeps its alpha and is a PNG."""

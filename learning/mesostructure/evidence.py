@@ -29,7 +29,7 @@ STEADY_SLOPE = 0.3
 MOST_TILT = 0.9
 """Sine of the largest tilt."""
 NEAREST_MM = 1.0
-"""Of a lamp to the surface."""
+"""Least distance of a lamp to the surface."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,7 +19,7 @@ from learning.whole.detail import enlarged
 TILE_PX = 256
 """Side of a tile; with 32 channels its features are 8 MB a layer."""
 LEAST_SHARE = 0.5
-"""Of the rows that a network was trained on, a texture's; pores cannot be seen in fewer."""
+"""Least share of the rows that a network was trained on; pores cannot be seen in fewer."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -28,7 +28,7 @@ POSITION_MM = 100.0
 UNSURE = 0.3
 """Share of people's variance that a network leaves open, until its errors were measured."""
 RIDGE = 0.01
-"""Of people's prior, beside the texels' weights of 1."""
+"""Weight of people's prior, where a texel has 1."""
 DEVIATION = (0.003, 0.5)
 """Bounds of the expected error, sRGB-encoded."""
 

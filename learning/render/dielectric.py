@@ -15,11 +15,11 @@ import torch
 from torch import Tensor
 
 INDEX = 1.4
-"""Of refraction, of skin's surface, with which maps are measured."""
+"""Index of refraction of skin's surface, with which maps are measured."""
 F0 = ((INDEX - 1) / (INDEX + 1)) ** 2
 """Its reflectance at normal incidence, .0278."""
 LEAST_COSINE = 1e-4
-"""Of the surface to the camera: normals of fine relief may turn away where the surface does not."""
+"""Least cosine to the camera: normals of fine relief may turn away where the surface does not."""
 SMOOTHEST, ROUGHEST = 0.1, 0.7
 """m that the polynomial was fitted for; T of smoother and rougher skin is that of these."""
 MIDDLE = (ROUGHEST**0.5 + SMOOTHEST**0.5) / 2

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from learning.render.light_dome import harmonics
 
 CHANNELS = (8, 16, 32, 64, 128)
-"""Of the 5 blocks, from the picture inward."""
+"""Channels of the 5 blocks, from the picture inward."""
 ROWS_MULTIPLE = 96
 """Five blocks halve rows and columns, which are two thirds as many."""
 AT_ONCE = 64

@@ -45,7 +45,7 @@ def shade(
         maps: the skin, batch B or 1; it is never changed.
         environment: lights and camera, batch B or 1. Textures x light sets: a batch of one skin
             under B light sets, B skins under one, or B pairs.
-        options: how.
+        options: of the shading.
         visibility: (B, L, H, W), the share of each light that a texel sees; all where None. One
             channel holds for every light.
 

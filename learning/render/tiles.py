@@ -32,7 +32,7 @@ def shade_in_bands(
     Args:
         maps: the skin.
         environment: lights and camera.
-        options: how.
+        options: of the shading.
         visibility: (B, L, H, W) or None.
         rows: of a band.
 

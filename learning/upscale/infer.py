@@ -23,7 +23,8 @@ from lightstage.commands import ProgressCallback, quiet
 TILE_PX = 128
 """Side of a tile, in texels of the input: the last features of one are 256 MB at 64 channels."""
 SMALLEST_PX, MOST_TEXELS = 8, 2**21
-"""Of an input: what has no surroundings to learn from, and what needs 4 GB at 64 channels."""
+"""Bounds of an input: a smaller side has no surroundings to learn from, and more texels need 4 GB
+at 64 channels."""
 
 
 def upscale(

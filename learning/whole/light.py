@@ -29,7 +29,7 @@ MOST_LAMPS = 4
 NEAREST_MM, FARTHEST_MM = 500.0, 4000.0
 """Lamps are searched between these distances; a farther one looks the same."""
 FIRST_STEP, LAST_STEP = 0.25, 0.015
-"""Of the search: a lamp's move over its distance, halved where no move helps."""
+"""Steps of the search: a lamp's move over its distance, halved where no move helps."""
 ADDED_AT = 0.97
 """Another lamp stays where the misfit falls below this share of that without it."""
 NEIGHBOURHOOD = 0.8

@@ -47,8 +47,9 @@ SHININESS_SPREAD = 0.5
 """Standard deviation of the exponent's logarithm among people, about `SHININESS`."""
 SHININESS_RANGE = (6.0, 120.0)
 LARGEST_MISFIT = 1.7
-"""Of a light that explains a texture: our people's have 0.2 to 0.6, a scanned head's 0.8 to 1.5
-(refinement is nearer to the truth than the network under each of six lights), a wrong one's 2."""
+"""Largest misfit of a light that explains a texture: our people's have 0.2 to 0.6, a scanned head's
+0.8 to 1.5 (refinement is nearer to the truth than the network under each of six lights), a wrong
+one's 2."""
 LARGEST_ROWS = 1536
 """Light is followed at so many rows at most, and enlarged for larger textures."""
 

@@ -88,7 +88,7 @@ KINDS: dict[str, Kind] = {
             True,
             GEOMETRY,
             False,
-            "where the cameras stand, and their lenses",
+            "the cameras' places and lenses",
         ),
         Kind(
             "mirror",
@@ -99,7 +99,7 @@ KINDS: dict[str, Kind] = {
             False,
             GEOMETRY,
             True,
-            "where the lights stand",
+            "the lamps' places",
         ),
         Kind(
             "grey",

@@ -18,7 +18,7 @@ from lightstage.calibrations.picture import Picture
 from lightstage.counting import counted
 
 BRIGHT_SHARE = 0.25
-"""Of a picture's brightest light: a ball and highlights are looked for above it."""
+"""Share of a picture's brightest light above which a ball and highlights are searched."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -33,7 +33,7 @@ class AbsentCameras:
 
         Args:
             camera: that failed.
-            failure: how.
+            failure: its error.
 
         Raises:
             DeviceError: it does not start; with why it failed first.

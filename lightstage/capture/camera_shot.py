@@ -229,7 +229,7 @@ class Photographer:
             about=ON_CARD,
             camera=camera.id,
             pattern=pattern,
-            said=f"{names} lies on its card, though: {failure}",
+            said=f"{names} is on its card, though: {failure}",
         )
         several = len({Path(file.name).stem for file in new}) > 1
         if several or camera.id in self._doubtful:

@@ -223,7 +223,7 @@ def take_session(
     Args:
         rig: the stage.
         order: what is to be taken.
-        settings: how.
+        settings: configuration of the capture.
         leds: the LED device's URL.
         cameras: path of a cameras file, or ``auto``.
         as_json: whether the facts are printed as JSON.

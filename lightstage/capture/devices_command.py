@@ -21,7 +21,8 @@ from lightstage.rig import load_rig
 
 TITLES = ("camera", "serial", "port", "lens", "battery", "free shots", "differs")
 PHOTOGRAPHS = 12
-"""Of each camera, for which room is looked for: a binary sequence with a few taken again."""
+"""Photographs of each camera that must fit on card and disk: a binary sequence with a few retakes.
+"""
 
 
 def register(app: typer.Typer) -> None:

@@ -96,8 +96,8 @@ def capture_session(
 
     Args:
         stage: opened.
-        order: what.
-        config: how.
+        order: what is to be taken.
+        config: of the capture.
         operator: decides, and sees every line of the journal.
         checks: checks each photograph; by default those of a face.
 

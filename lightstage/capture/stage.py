@@ -31,7 +31,7 @@ class Stage:
     """Devices that were checked against the rig.
 
     Attributes:
-        rig: where they stand.
+        rig: with their places.
         lights: dark, and dark again at the end.
         cameras: opened, in the rig's order.
         summaries: each camera's, by its id; it must stay so.

@@ -21,7 +21,7 @@ from lightstage.findings import Finding, two_digits
 from lightstage.rig import Rig
 
 FEW_SHARE = 0.1
-"""Of the light of `full`: a pattern below it is of few lamps."""
+"""Share of the light of `full` below which a pattern is of few lamps."""
 BOUNCE = 0.3
 """Light of a lamp that a ball does not see, as a share of its even part of `full`."""
 NEAR_DEG = 40.0
@@ -32,7 +32,7 @@ KNOWN = 8
 STEP = 1.6
 """Factor of light from neighbour to neighbour that a head can make."""
 UNLIT = 0.25
-"""Of the light expected, below which a lamp is held to be out."""
+"""Share of the expected light below which a lamp counts as out."""
 LEAST_DEG = 8.0
 """Angle between the direction of the light and the right one from which it is reported."""
 SURE = 4.0

@@ -22,7 +22,7 @@ PILE_FROM, PILE_SHARE = 0.85, 1e-4
 COARSE_PX = 32
 """Longer side of the coarse cells, on which light and noise are compared."""
 LIT_SHARE = 0.1
-"""Of the brightest percent: a cell above it shows lit subject."""
+"""Share of the brightest percent's level above which a cell shows lit subject."""
 MIN_QUADS = 4
 """A photograph of fewer quads a side is no photograph."""
 

@@ -16,7 +16,7 @@ from lightstage.findings import Finding, two_digits
 from lightstage.rig import Rig
 
 LAMP_SHARE = 0.003
-"""Of full: a lamp that leaves or takes less is not distinct from noise and motion."""
+"""Share of `full`: a lamp that adds or takes less is not distinct from noise and motion."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,7 +17,7 @@ from lightstage.checks.subject_motion import Shift, moved
 from lightstage.formats.sums import LEVEL_STEP, SLACK
 
 FLOOR_SHARE = 0.01
-"""Of full: residuals below it are motion, flicker and rounding, not noise."""
+"""Share of `full`: residuals below it are motion, flicker and rounding, not noise."""
 ROUNDS = 6
 MIN_CELLS = 12
 """Fewer lit coarse cells decide nothing."""

@@ -23,7 +23,7 @@ from lightstage.formats.access import share
 
 _BLOCK = bytes(4096)
 _NAME_BYTES = 255 - 24
-"""Of one name in a path: temporary names add up to 24 bytes to a file's."""
+"""Bytes of one name in a path, at most: temporary names add up to 24 bytes to a file's."""
 
 
 def output_file(

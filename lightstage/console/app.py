@@ -38,7 +38,7 @@ REPORT_POLICY = (
     "default-src 'none'; img-src data: 'self'; style-src 'unsafe-inline'; sandbox; "
     "frame-ancestors 'none'; base-uri 'none'"
 )
-"""Of a processing report: pictures and styles of its own, and nothing that runs."""
+"""Policy of a processing report: pictures and styles of its own, and nothing that runs."""
 NO_PICTURE = (
     '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 120 80" width="120" height="80">'
     '<rect width="120" height="80" fill="#333"/><path d="M0 0L120 80M120 0L0 80" stroke="#999"/>'

@@ -19,7 +19,8 @@ FULL_COLOUR = 0.10
 LEAST_SHOWN = 0.02
 """Smaller differences are drawn in no colour: noise makes them."""
 LIT_SHARE = 0.1
-"""Of the brightest percent: where the whole is darker, no difference is drawn: it is noise."""
+"""Share of the brightest percent's level; where the whole is darker, no difference is drawn: it is
+noise."""
 GREY = 0.45
 BRIGHTER_BGR, DARKER_BGR = (40.0, 150.0, 255.0), (255.0, 140.0, 60.0)
 

@@ -24,9 +24,9 @@ State = Literal["whole", "running", "unfinished", "damaged"]
 Checked = Literal["passed", "failed", "changed since", "not checked"]
 SESSION_SCHEMA = "lightstage.session/1"
 TAIL_BYTES = 1 << 16
-"""Of a journal, from its end, for its last line."""
+"""Bytes that are read from a journal's end, for its last line."""
 FIRST_BYTES = 1 << 22
-"""Of a journal's first line, which holds the levels of every pattern."""
+"""Bytes of a journal's first line, at most; it holds the levels of every pattern."""
 MOST_FOLDERS = 10_000
 
 

@@ -17,7 +17,7 @@ from lightstage.faces.blazeface import Found
 from lightstage.faces.face_mesh import Crop, Seen
 
 LEAST_SCORE = 0.5
-"""Of a detection."""
+"""Least score of a detection."""
 ONE_FACE = 0.3
 """Detections that overlap by more than this share are one face."""
 LEAST_PRESENCE = 0.5
@@ -31,7 +31,7 @@ SMALL_PX = 512
 LARGEST = 1 << 15
 """Pixels a side; larger pictures cannot be resampled."""
 LEAST_SIZE_PX = 8.0
-"""Of a face; smaller ones are not used."""
+"""Least size of a face; smaller ones are not used."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,7 +19,7 @@ more."""
 MISSED_MM = 3.0
 """A landmark that its points miss by more on the template, such as the jaw's, is left out."""
 SEEN_SHARE = 0.7
-"""Of a landmark's weights that must be those of visible points."""
+"""Share of a landmark's weights that must be those of visible points."""
 
 
 def landmark_weights(points_mm: np.ndarray, landmarks_mm: np.ndarray) -> np.ndarray:

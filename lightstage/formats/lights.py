@@ -90,7 +90,7 @@ def read_measured_lights(path: Path, rig: Rig) -> MeasuredLights:
     """Read measured lights of a rig.
 
     Args:
-        path: the file. Lights may stand in any order; those that the rig lacks are left out.
+        path: the file. Lights may be in any order; those that the rig lacks are left out.
         rig: whose lights they are.
 
     Raises:

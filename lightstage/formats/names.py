@@ -1,4 +1,4 @@
-"""Which texts may stand for a person, and which for a consent record."""
+"""Which texts may name a person, and which a consent record."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SCRIPTS = ("LATIN", "GREEK", "CYRILLIC")
 
 
 def pseudonym_problem(text: str) -> str | None:
-    """Why a text cannot stand for a person in a session; None where it can.
+    """Why a text may not name a person in a session; None where it can.
 
     Refused are paths, addresses, control and invisible characters, letters that only resemble
     others (full width, mathematical, scripts mixed so that two subjects resemble each other), names

@@ -26,7 +26,7 @@ RECOVER_S = 10.0
 DARK_AGAIN_S = 5.0
 """So long where the lights are only to go out."""
 WILL_NUMBER = (1 << 53) - 1
-"""Of the guardian's request; a capture's numbers stay far below."""
+"""Number of the guardian's request; a capture's numbers stay far below."""
 
 
 class IclLeds(UnansweredLeds):
@@ -281,7 +281,7 @@ class IclLeds(UnansweredLeds):
             name,
             f"no answer in {self._timeout_s:g} s, asked {times} times",
             "an answer",
-            "Is the server busy? A slower one's timeout_s stands in the URL.",
+            "Is the server busy? A slower one's timeout_s is set in the URL.",
         )
 
     def _lost(self, field: str, found: str, expected: str, hint: str = "") -> LightLostError:

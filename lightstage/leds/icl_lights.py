@@ -10,8 +10,8 @@ from lightstage.leds.address import IclOptions
 from lightstage.leds.lsserver import EMITTERS
 
 UPRIGHT_RGB = (0, 2, 4, 6, 7, 9, 11, 13)
-"""Of an even arc, lights whose rgb emitters have an upright polariser and whose white ones lie; of
-an odd arc, and of the other lights, it is the other way round."""
+"""Lights of an even arc whose rgb emitters have an upright polariser and whose white ones a lying
+one; on an odd arc, and for the other lights, it is the other way round."""
 RGB, WHITE = slice(0, 3), slice(3, 6)
 
 

@@ -15,9 +15,9 @@ import numpy as np
 from lightstage.printable import printable
 
 FULL = 65535
-"""Of each emitter."""
+"""Largest value of an emitter."""
 GROUPS = (("rgb", slice(0, 3)), ("white", slice(3, 6)))
-"""Of a fixture's emitters: red, green, blue, warm, neutral, cool."""
+"""Groups of a fixture's emitters: red, green, blue, warm, neutral, cool."""
 EMITTERS = 6
 MANUAL = "Manual"
 MOST_A_SIDE = 64

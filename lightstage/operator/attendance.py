@@ -26,7 +26,7 @@ class Wish(NamedTuple):
     """What a running capture shall do.
 
     Attributes:
-        do: what.
+        do: the request.
         pattern: of a ``retake``: which one is taken again, where it is known; otherwise empty.
     """
 

@@ -1,7 +1,7 @@
 """Events of a running capture on a local socket, for terminals and pages of the same user.
 
 A client sends lines of JSON. ``{"after": ID}`` asks for every line of the journal with a larger
-id, those that are written already and then each new one, as they stand in the journal. ``{"do":
+id, those that are written already and then each new one, as the journal has them. ``{"do":
 "retake"}`` (or ``accept``, ``abort``, ``pause``, ``resume``) asks for that in the operator's place
 (``"pattern": "x+"`` beside it names the pattern that is taken again, or that an answer is about),
 and is answered by ``{"answer": "retake", "accepted": true}`` or ``{"answer": "retake", "accepted":

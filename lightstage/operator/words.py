@@ -22,7 +22,7 @@ Tone = Literal["quiet", "plain", "good", "warning", "problem", "stop"]
 """``quiet`` is seen in the picture alone; ``problem`` needs somebody; ``stop`` ends the capture."""
 
 Mark = Literal["to come", "now", "kept", "failed", "again", "in question", "accepted"]
-"""Of one pattern by one camera; ``again`` waits to be retaken, ``in question`` is kept and
+"""State of one pattern by one camera; ``again`` waits to be retaken, ``in question`` is kept and
 may be accepted or retaken, ``accepted`` was accepted with its faults."""
 Line = Mapping[str, Any]
 

@@ -53,7 +53,7 @@ class PatternConfig:
     """One pattern of the file; the module's docstring has which keys go together.
 
     Attributes:
-        levels: one a light, 0..1; driven as they stand.
+        levels: one a light, 0..1; driven as they are.
         lights: ids of lights.
         names: lights' names, with * and ? as in file names.
         level: of these lights, or at the middle of a direction's shape, 0..1.

@@ -17,7 +17,8 @@ from lightstage.photo_file import identify_file
 LARGEST_PX = 2000
 """Longer side of the pictures that features are looked for in, at most."""
 LIT_SHARE = 0.05
-"""Of the brightest twentieth: what is brighter, slightly blurred, shows something that was lit."""
+"""Share of the brightest twentieth's level: a brighter place, slightly blurred, shows something
+lit."""
 
 
 @dataclasses.dataclass(frozen=True)

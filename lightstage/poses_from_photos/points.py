@@ -17,8 +17,8 @@ from lightstage.rig import Camera
 
 SCHEMA = "lightstage.points/1"
 MAX_CLICK_SHARE = 0.02
-"""Of a picture's longer side: a click farther from where the other clicks put its point is wrong.
-"""
+"""Share of a picture's longer side: a click farther from where the other clicks put its point is
+wrong."""
 
 Clicks = dict[str, dict[str, np.ndarray]]
 """Point's name to camera's id to (2,) pixels."""

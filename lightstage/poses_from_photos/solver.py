@@ -35,7 +35,7 @@ LONG, MOST_BENT, MOST_BENT_WIDE = 1.5, 0.02, 0.1
 """A lens of a focal length longer than this share of the picture's longer side moves corners by no
 more than the first share, a wider one by no more than the second."""
 LOSS_PX = 0.5
-"""Of the last adjustment (Cauchy): features are off by less, false matches by more."""
+"""Scale of the last adjustment's loss (Cauchy): features are off by less, false matches by more."""
 
 
 @dataclasses.dataclass

@@ -29,9 +29,10 @@ MIN_MATCHES = 15
 """Verified matches that a camera must have with another one."""
 MIN_POINTS = 20
 FLAT, NEAREST = 0.02, 0.9
-"""Of a scene's extent: a thinner one is flat; and the share of its points that is used."""
+"""Share of a scene's extent below which it is flat; and the share of its points that is used."""
 MAX_RESIDUAL_SHARE = 0.002
-"""Of a picture's longer side: mean residual of a camera's points above which it is refused."""
+"""Share of a picture's longer side: mean residual of a camera's points above which it is refused.
+"""
 
 
 @dataclasses.dataclass(frozen=True)

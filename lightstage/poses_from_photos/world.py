@@ -16,8 +16,8 @@ MIN_LANDMARKS = 6
 FACE_MISFIT = 0.15
 """Landmarks farther from a face's than this share of their spread (root mean square) are none."""
 LEVEL_WEIGHT = 1e-3
-"""Of the pictures' mean up direction beside their horizontal axes, which settle it where cameras
-stand around the subject."""
+"""Weight of the pictures' mean up direction, where their horizontal axes have 1; these settle it
+where cameras are around the subject."""
 STEEPEST = 0.05
 """Least horizontal part of the direction to the frontal camera."""
 PULL = 0.02

@@ -17,7 +17,7 @@ from lightstage.rig import Camera, Rig
 from lightstage.session.disk import rename_new
 
 BYTES_PER_PIXEL = 2.0
-"""Of a RAW that is not compressed: 14 or 16 bits, previews on top of packed ones."""
+"""Bytes a pixel of a RAW that is not compressed: 14 or 16 bits, previews on top of packed ones."""
 HEADER_BYTES = 1 << 20
 LONGEST_TAKE = ".take99.partial"
 

@@ -16,9 +16,10 @@ MEASURED_WITH = "measured_with_rig_sha256"
 """In a rig.json whose cameras were measured from photographs: `rig_sha256` of the rig they were
 taken with. It is the same stage."""
 UNMEASURED = "unmeasured_cameras"
-"""Of the same: ids of cameras that keep the lens and pose they had before."""
+"""Field of such a rig.json: ids of cameras that keep the lens and pose they had before."""
 UNCHECKED = "unchecked_cameras"
-"""Of the same: ids of cameras that saw too few boards for their place to be checked."""
+"""Field of such a rig.json: ids of cameras that saw too few boards for their place to be checked.
+"""
 CONTROLLER = "main"
 """What a lamp's controller is called where the rig does not name it."""
 

@@ -1,4 +1,4 @@
-"""Faults of photographs that the operator saw and accepted: they stand in the session's record."""
+"""Faults of photographs that the operator saw and accepted: they are in the session's record."""
 
 from __future__ import annotations
 

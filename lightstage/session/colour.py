@@ -23,7 +23,7 @@ FLATS_SCHEMA = "lightstage.flats/1"
 BORDER_SHARE = 0.02
 """A sensor's sides may differ by so much from the rig's."""
 GAINS_BYTES = 1 << 31
-"""Of a file of gains of single pixels."""
+"""Largest size of a file of gains of single pixels."""
 COLOUR_NAME, FLATS_NAME, LIGHTS_NAME = "colour.json", "flats.json", "lights.json"
 
 

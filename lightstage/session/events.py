@@ -261,4 +261,5 @@ _EVENTS: Mapping[str, tuple[Rules, Rules]] = {
     "note": ({}, {"cards": _CARDS, "file": _FILE}),
     "finding": ({}, {"code": _TEXT}),
 }
-"""Of each event that something is done by: fields that it must have, and others that it may."""
+"""For each event from which a state follows: the fields that it must have, and others that it may.
+"""

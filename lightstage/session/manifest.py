@@ -35,7 +35,7 @@ SCHEMA = "lightstage.manifest/1"
 MANIFEST = "manifest.json"
 JOURNAL = "journal.jsonl"
 MAX_BYTES = 1 << 40
-"""Of a journal; a larger number is damage."""
+"""Largest number of bytes that a journal states; a larger one is damage."""
 OF_SESSION = ("created_utc", "subject", "expression", "consent")
 OF_CAMERA = (
     *("serial", "model", "firmware", "mode", "iso", "shutter", "aperture"),

@@ -15,7 +15,7 @@ from lightstage.session.opening import JOURNAL
 from lightstage.session.photo_entry import packed
 
 MAX_BYTES = 1 << 28
-"""Of one journal; a longer one is not read further."""
+"""Bytes of one journal that are read, at most."""
 _HASH = re.compile(rb'"sha256"\s*:\s*"([0-9a-f]{64})"')
 _SESSION = re.compile(rb'"session"\s*:\s*("(?:[^"\\]|\\.)*")')
 

@@ -38,7 +38,7 @@ class SessionPlan:
         """The same with its pseudonyms in one spelling.
 
         Raises:
-            ConfigError: what cannot stand in a session or name a file, all in one message.
+            ConfigError: what may not be in a session or name a file, all in one message.
         """
         problems: list[LightstageError] = []
 

@@ -1,4 +1,4 @@
-"""What may stand in a session for a person: a pseudonym, never a name, an address or a path."""
+"""What may represent a person in a session: a pseudonym, never a name, an address or a path."""
 
 from __future__ import annotations
 

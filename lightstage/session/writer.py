@@ -74,7 +74,7 @@ class SessionWriter(Record):
             beside: other files of the calibration, by name (read_calibration).
 
         Raises:
-            ConfigError: a name that cannot stand in a session.
+            ConfigError: a name that may not be in a session.
             CaptureError: the folder exists and is not empty, or the disk refuses.
         """
         plan = plan.checked(rig)

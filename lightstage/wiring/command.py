@@ -19,7 +19,7 @@ from lightstage.wiring.identify import identify
 from lightstage.wiring.walk import STEPS, corrections
 
 LEVEL = 0.5
-"""Of the lamp that shines: plain to see, and a lamp bears it as long as anybody looks."""
+"""Level of the lamp that shines: plain to see, and a lamp bears it as long as anybody looks."""
 MOST_CHANNELS = 65535
 DIGITS = "0123456789"
 
@@ -39,7 +39,7 @@ def _lights() -> None:
 
 
 def identify_command(
-    rig: Path = typer.Option(..., "--rig", help="rig.json: where the lights stand."),
+    rig: Path = typer.Option(..., "--rig", help="rig.json: the places of the lamps."),
     leds: str = typer.Option(..., help="The LED device, as for `capture`."),
     out: Path = output_file(
         "--out",

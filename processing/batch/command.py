@@ -214,7 +214,7 @@ def _end(batch: Batch, out: Path, as_json: bool) -> None:
         finish(text, facts, True)
     if batch.full is not None:
         raise DiskFullError(
-            f"{batch.full} No new stage was begun. Make room, and call this again: it goes on."
+            f"{batch.full} No new stage was begun. Make room, and call this again to resume."
         )
     lines = [_failure(item) for item in failed]
     if batch.gone is not None:
@@ -226,7 +226,7 @@ def _end(batch: Batch, out: Path, as_json: bool) -> None:
         + (f", {waiting} of them not worked on" if waiting else "")
         + "".join(f"\n  {line}" for line in lines),
         expected="all done",
-        hint="Mend what is named, or leave these sessions out, and call this again: it goes on.",
+        hint="Mend what is named, or leave these sessions out, and call this again to resume.",
     )
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from processing.pipeline import PipelineConfig
 
 TOPIC = "lightstage-batch"
-"""Of the events in which workers report their progress."""
+"""Name of the events in which workers report their progress."""
 PROGRESS_EVERY_S = 2.0
 POOLS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 Status = Literal["done", "busy", "again", "disk full", "unfit", "failed", "stopped"]

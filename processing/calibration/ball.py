@@ -22,11 +22,11 @@ from processing.colour import ColourCorrection
 from processing.errors import ProcessingError
 
 EDGE_POINTS = 400
-"""Of a ball's outline in each camera."""
+"""Number of points on a ball's outline in each camera."""
 LIT_SHARE = 0.25
 """A pixel of a grey ball is brighter than this share of the ball's typical one."""
 LEAST_FILLED = 0.6
-"""Of the box around a ball; a disc fills .785 of it."""
+"""Least share of the box around a ball that is filled; a disc fills .785 of it."""
 BESIDE_SHARE = 0.15
 """What is not the ball is darker than this share of it."""
 UNDISTORT_ROUNDS = 12

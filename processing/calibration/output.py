@@ -28,7 +28,7 @@ from processing.raw.flat_file import write_flats
 from processing.records import versions
 
 SIDE, GAP = 96, 8
-"""Of a chart's patches in their picture, pixels."""
+"""Side of a chart's patches in their picture, and the gap between them, pixels."""
 SCHEMA = "lightstage.calibration/1"
 NAME = "calibration.json"
 COLOUR, FLATS, LIGHTS = "colour.json", "flats.json", "lights.json"

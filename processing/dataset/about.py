@@ -41,7 +41,7 @@ class Answers:
         impact: what the set may do to those who are shown, and who studied that.
         prior_uses: what it was used for.
         unsuitable_uses: what it must not be used for.
-        representation: whom the people stand for, and who is missing.
+        representation: whom the people represent, and who is missing.
         restrictions: other people's rights, and laws on its export.
         maintenance: who keeps it, corrects it, and takes people out; what becomes of old versions.
     """
@@ -154,7 +154,7 @@ def _answered(value: str | tuple[str, ...]) -> bool:
 
 
 def _problem(text: str, longest: int, one_line: bool) -> str:
-    """Why a text cannot stand in a release; empty where it can."""
+    """Why a text may not be in a release; empty where it can."""
     if len(text) > longest:
         return f"at most {longest} characters"
     if not all(c.isprintable() or (c in "\n\t" and not one_line) for c in text):

@@ -29,7 +29,7 @@ def write_datasheet(folder: Path, about: About, facts: Mapping[str, Any], form: 
     lines = [f"# {about.name}", "", statements.description(facts), ""]
     lines += [
         "This datasheet has the form of *Datasheets for Datasets* (Gebru et al., 2021). What the "
-        "software knows it has written; the rest is the lab's to say."
+        "software knows it has written; the lab has to give the rest."
     ]
     if about.unanswered:
         lines += ["", f"Not answered by the lab: {', '.join(about.unanswered)}."]
@@ -57,16 +57,16 @@ def _sections(about: About, facts: Mapping[str, Any], form: str) -> dict[str, di
             "Is it all that there is, or a sample?": statements.manipulation(facts),
             "Is anything missing?": statements.missing(),
             "Are there labels, or links between instances?": "There are none, on purpose.",
-            "Are there recommended splits?": "None. People cannot be told apart in the set, so "
+            "Are there recommended splits?": "None. People cannot be distinguished in the set, so "
             "that patches of one person can be on both sides of any split: a test on such a split "
-            "says too much good.",
+            "gives too good a result.",
             "Are there errors or noise?": "Noise of the cameras and errors of the maps are those "
             "that the project measures (its benchmarks/RESULTS.md). The set's own are not known.",
             "Does it need anything else, such as the web?": "No.",
             "Which people does it show?": "\n".join(
                 f"- {each}" for each in statements.people(facts)
             ),
-            "Whom do they stand for, and who is missing?": answers.representation,
+            "Whom do they represent, and who is missing?": answers.representation,
             "Can people be recognised?": str(facts["cannot_protect"]),
             "Is anything in it sensitive?": " ".join(statements.personal(facts)),
         },

@@ -95,7 +95,7 @@ def _table(
     found = Counter(known.get(who, UNKNOWN) for who in everybody)
     at_least = published_counts({name: found[name] for name in (*groups, UNKNOWN)})
     parts = "; ".join(f"{name}: {count} or more" for name, count in at_least.items())
-    counts_in_words = parts or f"not told, since a group would have fewer than {FEWEST}"
+    counts_in_words = parts or f"not published, since a group would have fewer than {FEWEST}"
     return Table(
         what,
         at_least,

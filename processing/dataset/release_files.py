@@ -35,7 +35,7 @@ FORMS = ("zarr", "webdataset")
 TAR_PATCHES = 256
 """Patches of a tar."""
 FILE_TIME_S = 315532800
-"""Of all files and folders of a release: 1980, the first day that every archive can write."""
+"""Time of all files and folders of a release: 1980, the first day that every archive can write."""
 CHECKSUMS, CHECKSUMS_SCHEMA = "checksums.json", "lightstage.checksums/1"
 
 

@@ -32,8 +32,8 @@ def description(facts: Mapping[str, Any]) -> str:
     return (
         f"{counted(counts['patches'], 'square patch', 'square patches')} of facial skin of "
         f"{counted(counts['subjects'], 'person', 'people')}, {size} texels wide: diffuse and "
-        "specular albedo, two maps of normals, and shape in mm. Nothing says which patches are of "
-        "one person, where they lay, or when they were taken."
+        "specular albedo, two maps of normals, and shape in mm. Nothing shows which patches are of "
+        "one person, where they were, or when they were taken."
     )
 
 
@@ -96,7 +96,7 @@ def personal(facts: Mapping[str, Any]) -> list[str]:
     consent = facts["consent"]
     sentences = [
         "A patch is a picture of somebody's skin and may show a mole, a scar or a wrinkle. Skin "
-        "tone is seen in every patch. Names, identifiers, dates, age and sex stand at no patch.",
+        "tone is seen in every patch. Names, identifiers, dates, age and sex are at no patch.",
         f"A consent is on record of {counted(consent['subjects_on_record'], 'person', 'people')}; "
         f"{consent['subjects_simulated']} are simulated, and of {consent['subjects_without']} "
         "there is no record.",
@@ -117,7 +117,7 @@ def uses() -> list[str]:
     """What it is fit for, and what not."""
     return [
         "Statistics and textures of facial skin, and networks that work on patches.",
-        "Not for finding out who is shown, not for telling people apart, not for medicine.",
+        "Not for finding out who is shown, not for distinguishing people, not for medicine.",
     ]
 
 

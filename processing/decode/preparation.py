@@ -39,7 +39,7 @@ class PrepareConfig:
     """Settings of the checks of a view's photographs."""
 
     forced: bool = False
-    """Go on with photographs that do not add up as their patterns do."""
+    """Use photographs that do not add up as their patterns do."""
     cells_per_mm: float = 2.0
     """Of the small pictures in which motion and light are measured."""
     still_px: float = 0.25

@@ -128,7 +128,7 @@ def ambient_ratio(
         small: pattern to (h, w, 3) float32.
         pairs: as in `fit_sums`.
         free: (h, w) bool.
-        flicker: of it.
+        flicker: pattern to the factor that removes its flicker.
         sigma_cells: of the Gaussian that takes noise out.
     """
     whole = small[pairs[0].whole]

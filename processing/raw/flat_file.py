@@ -126,7 +126,7 @@ def read_flats(path: Path, cameras: list[str]) -> dict[str, FlatField]:
     """Read flats.json.
 
     Args:
-        path: of it.
+        path: of the file.
         cameras: ids that are wanted; one that is not in the file is left out.
 
     Raises:

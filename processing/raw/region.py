@@ -12,7 +12,7 @@ from processing.raw.raw_file import RawFile
 LONG_SIDE = 400
 """Cells along a preview's longer side, about."""
 MARGIN_SHARE = 0.01
-"""Of the picture's longer side, that a window is wider than what was found."""
+"""Share of the picture's longer side by which a window is wider than what was found."""
 SAFETY = 0.5
 """A preview's threshold against that of the mask: a window must hold what the mask will."""
 

@@ -19,11 +19,11 @@ FACING = 0.75
 STEEPEST = 0.5
 """A step of more than this share of its edge is none of one surface's."""
 TOLERANCE = 1e-3
-"""Of the solver: its heights are then right to .1 micrometres."""
+"""Residual at which the solver ends: its heights are then right to .1 micrometres."""
 LINKS = 1.5
 """What six edges at a vertex weigh beside the four of a grid of squares."""
 SMALL = 0.3
-"""Of the points' own relief: they follow their normals already, the mesh lost the finest alone."""
+"""Share of the points' relief below which the mesh follows normals, as the points did already."""
 
 
 def finer(

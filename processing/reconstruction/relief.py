@@ -19,11 +19,12 @@ from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.grow import JUMP_MM
 
 TOLERANCE = 1e-4
-"""Of the solver's residual, relative to its start: points move by less than a tenth of a
+"""Residual at which the solver ends, relative to its start: points move by less than a tenth of a
 millimetre, so that is .01 micrometre."""
 MOST_STEPS = 300
 SHARE = 1 / 3
-"""Of `bias_mm`: where normals are doubted, they are trusted in what is smaller than this alone."""
+"""Share of `bias_mm`: where normals are doubted, they are trusted only in smaller relief than this.
+"""
 USUAL = 2.0
 """Disagreement less than so many times the median is noise of the points, and no doubt."""
 

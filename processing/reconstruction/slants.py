@@ -16,7 +16,7 @@ from processing.reconstruction.consistency import smooth_normals
 from processing.reconstruction.views import Level, View, depth_to_points
 
 RADIUS_PX = 2
-"""Of the neighbourhood that a plane is fitted to."""
+"""Radius of the neighbourhood to which a plane is fitted."""
 REACH_MM = 20.0
 """Neighbours farther off, along the line of sight, are on another surface."""
 

@@ -54,7 +54,7 @@ PICTURES_ALONE = (
     "lights that give no normals, so the mesh is of matched pictures alone: without relief finer "
     "than their patches, and only where two cameras agree"
 )
-"""Of a mesh without photometric normals."""
+"""What the facts state of a mesh without photometric normals."""
 
 
 class Reconstructed(NamedTuple):

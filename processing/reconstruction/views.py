@@ -23,7 +23,7 @@ GREY = 0.1
 """A pixel less saturated than this has no colour that shows the light it scatters."""
 
 SHORTEST = 1e-3
-"""Of a mean of normals: they cancel each other in a shorter one."""
+"""Least length of a mean of normals: they cancel each other in a shorter one."""
 
 BASIS_ROWS = 380
 """Contrast is measured between pixels of about so many rows a picture."""

@@ -20,7 +20,7 @@ camera (`facing`), the distance to the nearest edge in pixels, the neighbours' a
 where the readings can be used, ambient occlusion, the direction to the camera, and the mean
 squared turn that noise gives the matte normal."""
 LEAST_WEIGHT = 1e-6
-"""Of a pixel in its neighbours' albedo."""
+"""Least weight of a pixel in its neighbours' albedo."""
 
 
 class Limits(NamedTuple):

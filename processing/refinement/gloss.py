@@ -21,7 +21,7 @@ ROUGHNESS_RANGE = (0.12, 0.45)
 SPECULAR_RANGE = (0.0, 0.2)
 """Reflectances above .2 are metals, not faces."""
 LONGEST_STEP = 0.05
-"""Of the roughness: beyond it the lobe is not linear in it."""
+"""Largest step of the roughness: beyond it the lobe is not linear in it."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -47,7 +47,7 @@ SIDES = 4
 ASLANT_DEG = 35.0
 """Skin seen more steeply than this is a part of its own on each side."""
 LEAST_PIXELS = 20
-"""Of a part of the face."""
+"""Least number of pixels of a part of the face."""
 HOPELESS = -0.02
 """A step that gains less is not tried again beside another one."""
 FIRST_LOOK = 4

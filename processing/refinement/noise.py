@@ -17,7 +17,7 @@ from processing.refinement.joint import Noise
 
 BINS = 12
 LEAST_PIXELS = 100
-"""Of a bin of brightness."""
+"""Least number of pixels of a bin of brightness."""
 LEAST = 1e-4
 """A noise below this is not distinct from rounding to half floats."""
 NORMAL_MAD = 1.4826

@@ -23,9 +23,10 @@ from processing.registration.target import Target
 
 HELD_MM2 = 1e4
 LEAST_VERTICES = 8
-"""Of a template's ear; fewer are isolated crumbs of the region."""
+"""Least number of vertices of a template's ear; fewer are isolated crumbs of the region."""
 BLEND_STIFFNESS_MM = 5.0
-"""Of the plate between an ear that was moved and skin that was not, both held this hard."""
+"""Stiffness of the plate between an ear that was moved and skin that was not, both held this hard.
+"""
 
 
 @dataclasses.dataclass(frozen=True)

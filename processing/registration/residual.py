@@ -25,7 +25,7 @@ LARGEST_DEG = 30.0
 BESIDE_MM = 10.0
 """The scan is drawn as far beyond the mesh."""
 MOST_POINTS = 50_000
-"""Of a scan that are compared; more add time and no information."""
+"""Points of a scan that are compared; more add time and no information."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,7 +18,7 @@ from processing.lighting.lobe import transport
 
 SIDE = 96
 ALONG_VIEW = 1e-3
-"""Of a mirrored direction this near to straight away from the camera no facet is known."""
+"""A mirrored direction this near to straight away from the camera has no facet."""
 
 
 @dataclasses.dataclass(frozen=True)

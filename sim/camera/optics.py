@@ -14,7 +14,7 @@ from lightstage.rig import Camera, Rig
 from sim.camera.flaws import LensConfig
 
 WAVELENGTH_UM = (0.61, 0.54, 0.46)
-"""Of red, green and blue light, for diffraction."""
+"""Wavelengths of red, green and blue light, for diffraction."""
 AIRY_SIGMA = 0.42
 """The Gaussian nearest to the Airy disc has this many wavelengths times f-number as sigma."""
 UNSEEN_PX = 0.05

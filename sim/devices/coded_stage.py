@@ -26,7 +26,7 @@ from sim.devices.simulated_camera import SimulatedCameras
 from sim.devices.wiring import Wires, wires_of
 
 SETTINGS = {"iso": "100", "shutter": "1/60", "aperture": "f/8"}
-"""Of every camera, as in its photographs."""
+"""Settings of every camera, as in its photographs."""
 FULL_COUNT = 65535
 
 

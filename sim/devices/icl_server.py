@@ -31,7 +31,7 @@ PATH = "/ws"
 MOST_BYTES = 64 << 20
 READ_BYTES = 1 << 16
 MOST_STATES = 20_000
-"""Of more the oldest are forgotten."""
+"""Number of states that are kept; of more the oldest are forgotten."""
 ID_STEP = 1000
 """By so much an answer's id is off where a story has that fault."""
 SEND_WAIT_S = 1.0

@@ -22,7 +22,7 @@ SETTLE_TIMEOUT_S = 110.0
 """Lamps of the simulator settle when all cameras' pictures are rendered; the driver waits that
 long."""
 WATCHDOG_S = 2.0
-"""Of a stage's device that behaves as firmware must: dark after so long without a packet."""
+"""Time without a packet after which a stage's device goes dark, as firmware must."""
 
 
 @dataclasses.dataclass(frozen=True)

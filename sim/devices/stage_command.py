@@ -18,8 +18,8 @@ from sim.errors import SimError
 POLL_S = 0.2
 RESUME = "  To resume: "
 SCALE = 0.12
-"""Of `stage` and `calibrate` alike, since calibration shots hold for one rig.json alone. At half of
-it a marker of the ChArUco board is 12 pixels wide, which is too few to be read."""
+"""Scale of `stage` and `calibrate` alike, since calibration shots hold for one rig.json alone. At
+half of it a marker of the ChArUco board is 12 pixels wide, which is too few to be read."""
 RewiredOption = typer.Option(
     None, min=0, help="Wire the lamps by chance of this seed, in another order than the rig's."
 )

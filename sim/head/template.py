@@ -14,8 +14,8 @@ from sim.head.modes import EXPRESSIONS, expression_modes, identity_modes
 
 MAP_ROWS, MAP_COLUMNS = 768, 512
 DEPTH_RATIO = 0.85
-"""Of people's faces to ours, which is too deep: a scanned head (Lee Perry-Smith's) has .88 of its
-depth, the mean of ICT's model .73."""
+"""Ratio of the depth of people's faces to that of ours, which is too deep: a scanned head (Lee
+Perry-Smith's) has .88 of its depth, the mean of ICT's model .73."""
 
 # Blinn-Phong exponent and translucency by region, smooth in between.
 _SHININESS = {"skin": 24.0, "lips": 40.0, "eyes": 160.0, "ears": 20.0, "hair": 12.0}

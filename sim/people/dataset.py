@@ -68,7 +68,7 @@ class Plan:
 
     Attributes:
         out: folder of PERSON-EXPRESSION folders.
-        persons: who.
+        persons: the simulated people.
         expressions: of each, neutral first.
         rows: of the maps.
     """
@@ -131,7 +131,7 @@ def write_people(plan: Plan, jobs: int = 0, progress: ProgressCallback = quiet) 
     A scan that is there already and follows from the same seed, traits, size and code is kept.
 
     Args:
-        plan: who.
+        plan: the people and their expressions.
         jobs: processes, 1 for this one alone; 0 for as many as cores and memory allow.
         progress: of scans.
 
@@ -168,7 +168,7 @@ def write_sessions(plan: Plan, progress: ProgressCallback = quiet) -> int:
     """Write a session of linear frames and its truth for each scan, one after another.
 
     Args:
-        plan: who.
+        plan: the people and their expressions.
         progress: of scans.
 
     Returns:

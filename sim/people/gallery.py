@@ -32,7 +32,7 @@ def write_gallery(
     cut to the box that holds everyone.
 
     Args:
-        persons: who.
+        persons: the simulated people.
         expressions: the columns of each light.
         lights: patterns or environments (`sim.light.portrait.portrait`).
         rig: lamps and cameras; the frontal one looks.

@@ -12,7 +12,7 @@ from sim.errors import SimError
 from sim.people.subject import Subject
 
 SIDES = 6
-"""Of a tube's cross-section."""
+"""Number of sides of a tube's cross-section."""
 BROWS, EYES, EARS = range(17, 27), (range(36, 42), range(42, 48)), (0, 16)
 CHIN, BRIDGE, LOWER_LIP = 8, 27, 57
 """Numbers among the landmarks."""

@@ -26,7 +26,7 @@ MODES_FILE = "ict_facekit_modes.npz"
 NEUTRAL_FILE = "generic_neutral_mesh.obj"
 INDEX_FILE = "vertex_indices.json"
 VERTICES = 26719
-"""Of every mesh of the model's first release."""
+"""Number of vertices of every mesh of the model's first release."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -19,7 +19,8 @@ FEWEST_LANDMARKS = 8
 """Below this a face is not held in all directions."""
 CHUNK = 1 << 18
 SMOOTHING = 1.0
-"""Of the warp: landmarks are clicked to a mm or two, so it need not pass through all of them."""
+"""Smoothing of the warp: landmarks are clicked to a mm or two, so it need not pass through all of
+them."""
 
 
 def carried(

@@ -83,5 +83,5 @@ def test_a_line_that_drops_everything_ends_the_capture_and_reports_that_lights_m
 
 def test_a_capture_keeps_the_firmware_awake_and_ends_dark(live_stage):
     ending = live_stage.capture()
-    assert ending.fine, ending.said
+    assert ending.fine, ending.message
     assert ending.dark

@@ -83,8 +83,8 @@ def run(tmp_path: Path) -> Path:
 def test_a_save_that_is_killed_anywhere_leaves_one_whole_checkpoint(tmp_path: Path) -> None:
     run = tmp_path / "run"
     run.mkdir()
-    told = [str(run), json.dumps(ROLES), json.dumps(ABOUT)]
-    subprocess.run([sys.executable, "-c", KILLED_AT_EVERY_CHANGE, *told], check=True)
+    message = [str(run), json.dumps(ROLES), json.dumps(ABOUT)]
+    subprocess.run([sys.executable, "-c", KILLED_AT_EVERY_CHANGE, *message], check=True)
     after = sorted(tmp_path.glob("kept-*"))
     assert len(after) > 8  # three files, each written, renamed and made to reach the disk
     before = 1

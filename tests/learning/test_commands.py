@@ -219,9 +219,9 @@ def test_bad_input_is_one_message_and_exit_2(
 
     def refused(expected: str, *words: object, **changed: Path) -> None:
         assert run(monkeypatch, *words, *options({**scene, **changed}), "--out", out) == 2
-        said = capsys.readouterr().err
-        assert expected in said
-        assert "Traceback" not in said
+        printed = capsys.readouterr().err
+        assert expected in printed
+        assert "Traceback" not in printed
         assert not out.exists()
 
     mesh = read_obj(scene["mesh"])

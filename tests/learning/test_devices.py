@@ -76,7 +76,7 @@ def test_a_device_is_checked_before_the_data_is_read(
 
 
 @pytest.mark.parametrize(
-    ("error", "said"),
+    ("error", "message"),
     [
         (
             torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB. GPU 0 has a"),
@@ -87,7 +87,7 @@ def test_a_device_is_checked_before_the_data_is_read(
 )
 def test_a_full_gpu_is_one_message_with_a_smaller_batch(
     error: RuntimeError,
-    said: str,
+    message: str,
     store_path: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -97,12 +97,14 @@ def test_a_full_gpu_is_one_message_with_a_smaller_batch(
 
     monkeypatch.setattr("learning.whole.train.face_losses", full)
     (tmp_path / "six.toml").write_text("batch = 6\nsteps = 3\n[faces]\nshadow_sets = 1\n")
-    with pytest.raises(DeviceMemoryError, match=f"memory of cpu: found {said}.*batch = 3 ") as told:
+    with pytest.raises(
+        DeviceMemoryError, match=f"memory of cpu: found {message}.*batch = 3 "
+    ) as caught:
         train_command(
             store_path, tmp_path / "out", "modern", tmp_path / "six.toml", None, 0, False, quiet,
             "cpu",
         )  # fmt: skip
-    assert str(tmp_path / "out") in str(told.value)
+    assert str(tmp_path / "out") in str(caught.value)
     assert not (tmp_path / "out" / "checkpoint.json").exists()
 
 

@@ -35,10 +35,10 @@ def records(data: bytes) -> list[bytes]:
         (length,) = struct.unpack("<Q", data[:8])
         body = data[12 : 12 + length]
         assert len(body) == length
-        for told, of in ((data[8:12], data[:8]), (data[12 + length : 16 + length], body)):
+        for checksum, of in ((data[8:12], data[:8]), (data[12 + length : 16 + length], body)):
             crc = plain_crc(of)
             assert (
-                struct.unpack("<I", told)[0]
+                struct.unpack("<I", checksum)[0]
                 == (((crc >> 15) | (crc << 17 & 0xFFFFFFFF)) + 0xA282EAD8) % 2**32
             )
         found.append(body)

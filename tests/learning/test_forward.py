@@ -58,15 +58,15 @@ def test_what_is_computed_in_half_the_width_comes_out_as_float32_and_near(
     # A processor can do it too, only slower: the wiring is the same.
     monkeypatch.setattr(forward, "autocast_dtype", lambda *_: torch.bfloat16)
     half: Forward[WholeFace] = Forward(face, CPU, PLAIN)
-    said, expected = half(inputs), face(inputs)
-    for field in dataclasses.fields(said):
-        value, true = getattr(said, field.name), getattr(expected, field.name)
+    output, expected = half(inputs), face(inputs)
+    for field in dataclasses.fields(output):
+        value, true = getattr(output, field.name), getattr(expected, field.name)
         assert value.dtype == torch.float32
         torch.testing.assert_close(value, true, rtol=0.03, atol=0.003)
-    assert not torch.equal(said.diffuse_albedo, expected.diffuse_albedo)
+    assert not torch.equal(output.diffuse_albedo, expected.diffuse_albedo)
     judged: Forward[list[list[torch.Tensor]]] = Forward(judges, CPU, PLAIN)
     assert {f.dtype for scale in judged(inputs[:, :5]) for f in scale} == {torch.float32}
-    said.diffuse_albedo.mean().backward()
+    output.diffuse_albedo.mean().backward()
     assert face.here.weight.grad is not None
     assert face.here.weight.grad.dtype == torch.float32
 

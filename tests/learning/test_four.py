@@ -255,10 +255,10 @@ def test_maps_do_not_depend_on_the_meshs_axes_when_its_pose_is_known(
     run: Path, ball_mesh: Mesh
 ) -> None:
     networks, _ = load_four_networks(run)
-    told: list[tuple[int, int]] = []
+    lines: list[tuple[int, int]] = []
 
     def progress(done: int, total: int) -> None:
-        told.append((done, total))
+        lines.append((done, total))
 
     first = infer_four(networks, TINY.data, lit_ball(), ball_mesh, np.eye(3, 4), progress).maps
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
@@ -270,7 +270,7 @@ def test_maps_do_not_depend_on_the_meshs_axes_when_its_pose_is_known(
     for name in ("diffuse_normal", "specular_normal"):
         np.testing.assert_allclose(second[name], first[name] @ turn.T, atol=1e-2)
     tiles = 3 * 3
-    assert told == [(n + 1, 4 * 2 * tiles) for n in range(4 * 2 * tiles)]
+    assert lines == [(n + 1, 4 * 2 * tiles) for n in range(4 * 2 * tiles)]
 
 
 def test_networks_see_in_inference_what_they_saw_in_training(

@@ -68,8 +68,8 @@ def test_what_is_known_stays_and_what_has_no_surface_is_zero() -> None:
     beside, known, covered = marks(2), EVERYWHERE.copy(), EVERYWHERE.copy()
     known[5:20, 3:9], covered[40:] = False, False
     found = without_gaps(beside, known, covered, sides=True)
-    told = known & covered
-    np.testing.assert_array_equal(found[told], beside[told].astype(np.float32))
+    seen = known & covered
+    np.testing.assert_array_equal(found[seen], beside[seen].astype(np.float32))
     assert not found[40:].any()
 
 
@@ -113,6 +113,6 @@ def test_whatever_is_not_known_the_answer_is_finite_and_within_what_is_known(
     known &= np.isfinite(beside).all(axis=2)
     found = without_gaps(beside, known, covered, sides)
     assert np.isfinite(found).all()
-    told = np.abs(beside[known & covered])
+    seen = np.abs(beside[known & covered])
     # Twice: the other side's, and the step to it.
-    assert np.abs(found).max(initial=0) <= 3.01 * told.max(initial=0)
+    assert np.abs(found).max(initial=0) <= 3.01 * seen.max(initial=0)

@@ -79,7 +79,7 @@ class Astray:
 
 
 @pytest.mark.parametrize(
-    ("losses", "at", "said"),
+    ("losses", "at", "message"),
     [
         ([1.0] * 60 + [20.0] * 60, 70, "found diffuse 5 times its lowest mean of 50 steps"),
         ([1.0] * 7 + [math.nan], 7, "found losses .*nan"),
@@ -87,13 +87,15 @@ class Astray:
     ],
 )
 def test_a_training_that_goes_astray_stops_and_keeps_the_batch(
-    tmp_path: Path, losses: list[float], at: int, said: str
+    tmp_path: Path, losses: list[float], at: int, message: str
 ) -> None:
     run = Run(tmp_path / "run", WholeTrainConfig(), {"held_out": []}, 0, 0.0)
-    with pytest.raises(TrainingError, match=rf"step {at}: {said}.* Lower learning_rate") as told:
+    with pytest.raises(
+        TrainingError, match=rf"step {at}: {message}.* Lower learning_rate"
+    ) as caught:
         run.steps(Astray(losses), len(losses))
     kept = tmp_path / "run" / f"stopped-{at:07d}.safetensors"
-    assert kept.name in str(told.value)
+    assert kept.name in str(caught.value)
     assert load_file(kept)["inputs"].mean() == at
 
 

@@ -146,9 +146,11 @@ def test_a_texture_smaller_than_a_patch_is_refused(ball_mesh: Mesh) -> None:
         infer(random_generator(), DATA, lit_ball(16, 16), ball_mesh, np.eye(3, 4))
 
 
-@pytest.mark.parametrize(("gain", "said"), [(1000.0, "a median of"), (1e-3, "a median of")])
-def test_a_texture_of_another_exposure_is_refused(gain: float, said: str, ball_mesh: Mesh) -> None:
-    with pytest.raises(MapsError, match=f"photo.exr.*exposure: found {said}"):
+@pytest.mark.parametrize(("gain", "message"), [(1000.0, "a median of"), (1e-3, "a median of")])
+def test_a_texture_of_another_exposure_is_refused(
+    gain: float, message: str, ball_mesh: Mesh
+) -> None:
+    with pytest.raises(MapsError, match=f"photo.exr.*exposure: found {message}"):
         infer(
             random_generator(),
             DATA,

@@ -421,7 +421,7 @@ def test_harmonics_distinguish_two_directions_by_their_angle_alone() -> None:
 
 
 @pytest.mark.parametrize(
-    ("config", "words", "said"),
+    ("config", "words", "message"),
     [
         (
             "",
@@ -442,7 +442,7 @@ def test_harmonics_distinguish_two_directions_by_their_angle_alone() -> None:
 def test_a_network_that_cannot_be_trained_is_refused_before_any_work(
     config: str,
     words: tuple[str, ...],
-    said: str,
+    message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -451,7 +451,7 @@ def test_a_network_that_cannot_be_trained_is_refused_before_any_work(
     named = [word.replace("NETWORK", str(tmp_path / "n")) for word in words]
     base = ["occlusion", "--out", tmp_path / "t.npz", "--config", tmp_path / "c.toml"]
     assert run(monkeypatch, *base, *named) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c.toml"]
 
 

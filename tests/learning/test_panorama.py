@@ -140,7 +140,7 @@ def test_any_picture_of_light_is_kept(
 
 
 @pytest.mark.parametrize(
-    ("radiance", "said"),
+    ("radiance", "message"),
     [
         (np.ones((4, 9, 3)), "4 x 9 x 3"),
         (np.full((4, 8, 3), np.nan), "NaN"),
@@ -148,6 +148,6 @@ def test_any_picture_of_light_is_kept(
         (np.zeros((4, 8, 3)), "no light"),
     ],
 )
-def test_what_is_no_picture_of_light_is_refused(radiance: np.ndarray, said: str) -> None:
-    with pytest.raises(FormatError, match=said):
+def test_what_is_no_picture_of_light_is_refused(radiance: np.ndarray, message: str) -> None:
+    with pytest.raises(FormatError, match=message):
         Panorama(radiance)

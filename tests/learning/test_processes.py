@@ -77,10 +77,10 @@ def free_port() -> int:
 
 def started(rank: int, port: int, *words: object) -> subprocess.Popen[str]:
     """One of two processes, as torchrun would start it."""
-    told = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": 2, "MASTER_PORT": port}
+    values = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": 2, "MASTER_PORT": port}
     return subprocess.Popen(
         [sys.executable, *map(str, words)],
-        env={**os.environ, "MASTER_ADDR": "127.0.0.1", **{k: str(v) for k, v in told.items()}},
+        env={**os.environ, "MASTER_ADDR": "127.0.0.1", **{k: str(v) for k, v in values.items()}},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -95,9 +95,9 @@ def test_two_processes_train_as_one_with_the_batch_of_both(
     for family, (config, _) in ALL.items():
         train(open_store(store_path), tmp_path / "one" / family, config)
     for process in two:
-        said = process.communicate(timeout=300)
-        assert process.returncode == 0, said
-        assert said[0] == ""
+        printed = process.communicate(timeout=300)
+        assert process.returncode == 0, printed
+        assert printed[0] == ""
     for family, (_, load) in ALL.items():
         runs = [tmp_path / name / family for name in ("one", "two")]
         lines = [
@@ -247,8 +247,8 @@ def test_the_first_process_alone_writes_and_all_stop_after_the_same_step(
     while both[0].poll() is None and not (metrics.exists() and metrics.stat().st_size > 600):
         time.sleep(0.05)
     both[1].send_signal(signal.SIGTERM)
-    said = [process.communicate(timeout=120) for process in both]
-    assert [process.returncode for process in both] == [130, 130], said
+    printed = [process.communicate(timeout=120) for process in both]
+    assert [process.returncode for process in both] == [130, 130], printed
     steps = [json.loads(line)["step"] for line in metrics.read_text().splitlines()]
     checkpoint = read_checkpoint(tmp_path / "run")
     assert steps == list(range(checkpoint.step))

@@ -90,7 +90,7 @@ def test_occlusion_writes_a_table(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("--shadows", "soft"), "expected baked, table, none"),
         (("--lights", "0"), "expected 1 to 4096"),
@@ -99,7 +99,7 @@ def test_occlusion_writes_a_table(
 )
 def test_what_cannot_be_rendered_is_refused(
     words: tuple[str, str],
-    said: str,
+    message: str,
     people: list[ProcessedFolder],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -108,7 +108,7 @@ def test_what_cannot_be_rendered_is_refused(
     base = ["render", "--maps", people[0].root / "atlas", "--out", tmp_path / "never.png"]
     base += ["--environment", panorama(tmp_path / "room.exr"), *words]
     assert run(monkeypatch, *base) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "never.png").exists()
 
 

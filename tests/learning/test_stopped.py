@@ -132,21 +132,21 @@ def test_every_preset_reports_what_is_kept_and_a_line_that_resumes_it(
     words = [*words[:4], "--preset", preset, *words[4:], "--seed", "3"]
     with monkeypatch.context() as patch:
         interrupt_at(patch, "_mean", 2)
-        code, said, told = train(*words, "--json")
+        code, text, errors = train(*words, "--json")
     assert code == 130
     assert read_checkpoint(out).step == 2
-    found = re.fullmatch(r"Interrupted: step 2 is kept in (.*)\. To resume: (.*)", last(told))
-    assert found is not None, told
+    found = re.fullmatch(r"Interrupted: step 2 is kept in (.*)\. To resume: (.*)", last(errors))
+    assert found is not None, errors
     assert found[1] == str(out)
-    assert json.loads(said)["error"]["message"] == last(told)
+    assert json.loads(text)["error"]["message"] == last(errors)
     line = shlex.split(found[2])
     assert line[:2] == ["lightstage-learning", "train"]
     assert line[2:] == [*words, "--device", "auto", "--resume"]
     with monkeypatch.context() as patch:
         interrupt_at(patch, "_mean", 1)
-        code, _, told = train(*line[2:])
+        code, _, errors = train(*line[2:])
     assert (code, read_checkpoint(out).step) == (130, 3)
-    assert "step 3 is kept" in last(told)
+    assert "step 3 is kept" in last(errors)
 
 
 def last(told: str) -> str:
@@ -161,10 +161,10 @@ def test_an_interrupt_before_the_first_step_reports_that_nothing_is_kept(
 ) -> None:
     out, words = asked(store_path, tmp_path / "run", TINY["whole_face"])
     monkeypatch.setattr("learning.train.begin", stop)
-    code, _, told = train(*words)
+    code, _, errors = train(*words)
     assert code == 130
-    assert f"no step is kept in {out}. Begin again with: lightstage-learning train" in last(told)
-    assert "--resume" not in told
+    assert f"no step is kept in {out}. Begin again with: lightstage-learning train" in last(errors)
+    assert "--resume" not in errors
 
 
 def test_an_interrupt_while_people_are_scored_keeps_all_steps(
@@ -177,14 +177,14 @@ def test_an_interrupt_while_people_are_scored_keeps_all_steps(
         store_path, tmp_path / "run", TINY["whole_face"].replace("seconds = 60", "steps = 3")
     )
     monkeypatch.setattr("learning.whole.train.score_faces", stop)
-    code, _, told = train(*words)
+    code, _, errors = train(*words)
     assert (code, read_checkpoint(out).step) == (130, 3)
-    assert "step 3 is kept" in last(told)
+    assert "step 3 is kept" in last(errors)
 
 
 def test_several_processes_are_resumed_as_several(tmp_path: Path) -> None:
     options = {"--data": tmp_path / "S", "--out": tmp_path / "R", "--seconds": None}
-    said = str(stopped_training(tmp_path / "R", options, Processes(0, 4, 0)))
+    message = str(stopped_training(tmp_path / "R", options, Processes(0, 4, 0)))
     line = f"torchrun --nproc-per-node 4 -m learning train --data {tmp_path}/S --out {tmp_path}/R"
-    assert said.endswith(line)
+    assert message.endswith(line)
     assert "torchrun" not in str(stopped_training(tmp_path / "R", options, ALONE))

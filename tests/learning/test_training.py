@@ -438,8 +438,8 @@ def test_a_run_is_neither_overwritten_nor_mixed(store_path: Path, tmp_path: Path
         train(store, tmp_path / "run", TINY)
     wide = dataclasses.replace(TINY.generator, width=16)
     changed = dataclasses.replace(TINY, learning_rate=1.0, generator=wide)
-    said = "generator.width, learning_rate: found 16, 1.0 now, expected 8, 0.002, as the run began"
-    with pytest.raises(CheckpointError, match=said):
+    text = "generator.width, learning_rate: found 16, 1.0 now, expected 8, 0.002, as the run began"
+    with pytest.raises(CheckpointError, match=text):
         train(store, tmp_path / "run", changed, resume=True)
     many = dataclasses.replace(
         changed, beta1=0.1, beta2=0.2, epochs=2, map_weight=1.0, render_weight=1.0

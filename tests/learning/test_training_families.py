@@ -207,9 +207,9 @@ def test_a_training_by_time_that_goes_on_does_not_begin_at_its_largest_rate_agai
 def test_a_network_that_a_plain_guess_is_as_good_as_is_reported() -> None:
     score = FaceScore(*[0.0] * len(dataclasses.fields(FaceScore)))
     known = {"psnr_db": 18.0, "psnr_input_db": 9.0, "psnr_mean_db": 18.58}
-    told = not_better(dataclasses.replace(score, **known))
-    assert "18.00 dB are no better than the mean person (18.58 dB)" in told
-    assert "lower learning_rate" in told
+    warning = not_better(dataclasses.replace(score, **known))
+    assert "18.00 dB are no better than the mean person (18.58 dB)" in warning
+    assert "lower learning_rate" in warning
     assert not_better(dataclasses.replace(score, **{**known, "psnr_db": 18.59})) == ""
 
 

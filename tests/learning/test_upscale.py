@@ -267,17 +267,17 @@ def test_light_above_white_stays_and_what_is_below_black_is_black() -> None:
 
 def test_pictures_that_cannot_be_enlarged_are_refused() -> None:
     network = network_of(SMALL)
-    for image, said in (
+    for image, message in (
         (np.zeros((16, 16), np.float32), "found one channel"),
         (np.zeros((4, 400, 3), np.float32), "found 4 x 400 texels, expected 8 or more"),
         (np.zeros((2048, 2048, 3), np.float32), "at most 2 million"),
     ):
-        with pytest.raises(MapsError, match=said):
+        with pytest.raises(MapsError, match=message):
             upscale(network, image, "t.exr")
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         ({"network": {"times": 3}}, "network.times: found 3, expected 2, 4 or 8"),
         ({"network": {"width": 8}}, "network.reduction: found 16, expected at most 8"),
@@ -286,8 +286,8 @@ def test_pictures_that_cannot_be_enlarged_are_refused() -> None:
         ({"generator": {"width": 8}}, "an unknown key"),
     ],
 )
-def test_the_preset_refuses_what_cannot_be(wrong: dict[str, dict[str, int]], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_the_preset_refuses_what_cannot_be(wrong: dict[str, dict[str, int]], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         preset("rcan", wrong, "test")
 
 

@@ -163,11 +163,11 @@ def test_an_untrained_network_answers_the_mean_person_to_any_texture(store_path:
     faces = faces_of(store_path)
     network = WholeFaceNetwork(SIZE)
     network.set_people(faces.in_common(network.config.modes))
-    said = network(faces.draw(2, np.random.default_rng(0)).inputs)
+    answer = network(faces.draw(2, np.random.default_rng(0)).inputs)
     albedos = [shrink(face.maps["diffuse_albedo"], (48, 32)).log() for face in faces.faces]
     mean = torch.cat(albedos).mean(dim=0).exp()
-    torch.testing.assert_close(said.diffuse_albedo[0], mean)
-    torch.testing.assert_close(said.diffuse_albedo[1], mean)
+    torch.testing.assert_close(answer.diffuse_albedo[0], mean)
+    torch.testing.assert_close(answer.diffuse_albedo[1], mean)
 
 
 @given(
@@ -185,10 +185,10 @@ def test_whatever_the_texture_albedo_lies_between_0_and_1(texture: np.ndarray) -
     zeros = torch.zeros(1, 3, 48, 32)
     with torch.inference_mode():
         shown = torch.from_numpy(texture)[None]
-        said = network(face_input(shown, zeros, zeros, torch.ones(1, 1, 48, 32)))
-    for values in (said.diffuse_albedo, said.specular_albedo):
+        answer = network(face_input(shown, zeros, zeros, torch.ones(1, 1, 48, 32)))
+    for values in (answer.diffuse_albedo, answer.specular_albedo):
         assert 0 < float(values.min()) <= float(values.max()) <= 1
-    assert bool(((said.deviation >= 0.003) & (said.deviation <= 0.5)).all())
+    assert bool(((answer.deviation >= 0.003) & (answer.deviation <= 0.5)).all())
 
 
 def test_the_expected_error_does_not_change_the_answer(store_path: Path) -> None:
@@ -205,15 +205,17 @@ def test_losses_in_double_precision_are_those_of_a_plain_twin(store_path: Path) 
     batch = faces_of(store_path).draw(2, np.random.default_rng(0))
     network = WholeFaceNetwork(SIZE)
     network.set_people(faces_of(store_path).in_common(network.config.modes))
-    said = network(batch.inputs)
+    answer = network(batch.inputs)
     weight = batch.weight.double().numpy()
 
     def curve(x: np.ndarray) -> np.ndarray:
         return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
-    found, true = (v.detach().double().numpy() for v in (said.diffuse_albedo, batch.diffuse_albedo))
+    found, true = (
+        v.detach().double().numpy() for v in (answer.diffuse_albedo, batch.diffuse_albedo)
+    )
     square = (curve(found) - curve(true)) ** 2
-    variance = said.deviation.detach().double().numpy() ** 2
+    variance = answer.deviation.detach().double().numpy() ** 2
     given_error = square.mean(axis=1, keepdims=True)
     expected = {
         "diffuse": (square * weight).sum() / (3 * weight.sum()),
@@ -378,14 +380,14 @@ def test_another_layout_another_size_and_a_tiny_texture_are_refused(
 
 def test_the_modern_preset_refuses_what_cannot_be() -> None:
     assert preset("modern", {}, "test") == WholeTrainConfig()
-    for wrong, said in (
+    for wrong, message in (
         ({"network": {"rows": 50}}, "network.rows: found 50, expected a multiple of 8"),
         ({"network": {"width": -1}}, "network.width: found -1, expected 2 or more"),
         ({"faces": {"partial_share": 2.0}}, "faces.partial_share: found 2.0"),
         ({"learning_rate": float("nan")}, "learning_rate: found nan"),
         ({"generator": {"width": 8}}, "an unknown key"),
     ):
-        with pytest.raises(ConfigError, match=said):
+        with pytest.raises(ConfigError, match=message):
             preset("modern", wrong, "test")
 
 

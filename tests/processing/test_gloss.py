@@ -45,7 +45,7 @@ SURFACE = make_surface()
 COUNT = len(SURFACE.vertices)
 
 
-def said(offsets_s: np.ndarray, offsets_m: np.ndarray, seed: int = 0) -> np.ndarray:
+def perturbed_sums(offsets_s: np.ndarray, offsets_m: np.ndarray, seed: int = 0) -> np.ndarray:
     """(V, 5) evidence whose best answer at each vertex is these offsets."""
     rng = np.random.default_rng(seed)
     rows = rng.normal(size=(COUNT, 9, 2)) * [30.0, 5.0]
@@ -84,7 +84,7 @@ def test_sums_at_vertices_are_those_of_a_plain_loop() -> None:
 def test_gloss_that_all_pixels_agree_on_is_found_in_one_step(pool_mm: float) -> None:
     gloss = skin_gloss(COUNT, 0.28)
     assert gloss.specular[0] == SKIN_F0
-    found = better(gloss, said(np.full(COUNT, 0.007), np.full(COUNT, -0.03)), pool_mm)
+    found = better(gloss, perturbed_sums(np.full(COUNT, 0.007), np.full(COUNT, -0.03)), pool_mm)
     np.testing.assert_allclose(found.roughness, 0.25, atol=1e-9)
     np.testing.assert_allclose(found.specular, SKIN_F0 + 0.007, atol=1e-9)
 
@@ -102,7 +102,7 @@ def test_gloss_that_varies_over_the_face_is_followed() -> None:
 
 
 def test_places_that_say_nothing_get_the_whole_faces_answer() -> None:
-    sums = said(np.full(COUNT, 0.01), np.full(COUNT, 0.02))
+    sums = perturbed_sums(np.full(COUNT, 0.01), np.full(COUNT, 0.02))
     silent = SURFACE.vertices[:, 2] < -5
     sums[silent] = 0
     found = better(skin_gloss(COUNT, 0.28), sums, pool_mm=0.0)
@@ -116,10 +116,14 @@ def test_without_evidence_gloss_stays() -> None:
 
 
 def test_a_step_is_short_and_ends_within_the_range_of_faces() -> None:
-    found = better(skin_gloss(COUNT, 0.28), said(np.full(COUNT, 5.0), np.full(COUNT, 1.0)))
+    found = better(
+        skin_gloss(COUNT, 0.28), perturbed_sums(np.full(COUNT, 5.0), np.full(COUNT, 1.0))
+    )
     np.testing.assert_allclose(found.roughness, 0.28 + LONGEST_STEP)
     np.testing.assert_allclose(found.specular, SPECULAR_RANGE[1])
-    found = better(skin_gloss(COUNT, 0.14), said(np.full(COUNT, -5.0), np.full(COUNT, -1.0)))
+    found = better(
+        skin_gloss(COUNT, 0.14), perturbed_sums(np.full(COUNT, -5.0), np.full(COUNT, -1.0))
+    )
     np.testing.assert_allclose(found.roughness, ROUGHNESS_RANGE[0])
     np.testing.assert_allclose(found.specular, SPECULAR_RANGE[0])
 
@@ -130,7 +134,7 @@ def test_gloss_is_finite_and_does_not_depend_on_the_strength_of_all_evidence(
     seed: int, power: int, share: float
 ) -> None:
     rng = np.random.default_rng(seed)
-    sums = said(0.02 * rng.normal(size=COUNT), 0.05 * rng.normal(size=COUNT), seed)
+    sums = perturbed_sums(0.02 * rng.normal(size=COUNT), 0.05 * rng.normal(size=COUNT), seed)
     sums[rng.uniform(size=COUNT) < share] = 0
     gloss = skin_gloss(COUNT, 0.28)
     found, scaled = better(gloss, sums), better(gloss, sums * 10.0**power)

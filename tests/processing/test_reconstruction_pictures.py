@@ -45,8 +45,8 @@ def test_the_distance_to_the_truth_is_shown_until_there_is_another_mesh(tmp_path
     write_distance(tmp_path, mesh, np.zeros(len(mesh.vertices)))
     section = mesh_section(tmp_path)
     assert section is not None
-    told = [part.alt for part in section.parts if isinstance(part, Picture)]
-    assert told == ["mesh", "distance to the truth", "coverage"]
+    report_lines = [part.alt for part in section.parts if isinstance(part, Picture)]
+    assert report_lines == ["mesh", "distance to the truth", "coverage"]
     write_pictures(tmp_path, shown, mesh)
     section = mesh_section(tmp_path)
     assert section is not None
@@ -54,14 +54,14 @@ def test_the_distance_to_the_truth_is_shown_until_there_is_another_mesh(tmp_path
 
 
 def test_a_later_runs_pictures_replace_all_of_an_earlier_one(tmp_path: Path) -> None:
-    def told() -> list[str]:
+    def report_lines() -> list[str]:
         section = mesh_section(tmp_path)
         assert section is not None
         return [part.alt for part in section.parts if isinstance(part, Picture)]
 
     write_pictures(tmp_path, {}, ellipsoid(), ellipsoid())
-    assert told() == ["mesh", "occluders"]
+    assert report_lines() == ["mesh", "occluders"]
     write_pictures(tmp_path, {"cam0": np.zeros((30, 20, 3), np.uint8)}, ellipsoid())
-    assert told() == ["mesh", "coverage"]
+    assert report_lines() == ["mesh", "coverage"]
     write_pictures(tmp_path, {}, ellipsoid())
-    assert told() == ["mesh"]
+    assert report_lines() == ["mesh"]

@@ -17,7 +17,7 @@ ROWS, COLUMNS = 4, 6
 PATCH_SHARE = 0.9
 """Side of a patch as a share of the pitch, on the classic chart."""
 INNER_SHARE = 0.55
-"""Of a patch's side that is read: the frame is blurred into its edges."""
+"""Share of a patch's side that is read: the frame is blurred into its edges."""
 LOOKED_AT_PX = 1200
 """Longer side of the picture in which the chart is searched for."""
 GROW = 14

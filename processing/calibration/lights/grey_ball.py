@@ -27,8 +27,8 @@ MEASURED_SHARE = 0.5
 FIXED = 1e-6
 CONVERGED = 1e-5
 LARGEST_STEP = 0.5
-"""Of a gain's logarithm in one round: a larger one leaves where the linear model holds, and grows
-until it overflows where the readings are not of this ball and these lamps."""
+"""Largest step of a gain's logarithm in one round: a larger one leaves where the linear model
+holds, and grows until it overflows where the readings are not of this ball and these lamps."""
 SETTLED = 1e-3
 """A last round that moves a gain by a larger share has found nothing."""
 QUADRATIC = 9

@@ -20,8 +20,9 @@ from processing.calibration.lights.highlights import expected_px
 from processing.calibration.lights.mirror_ball import Seen
 
 GATE_SHARE = 0.05
-"""Of the ball's radius: a highlight farther than this from where a lamp's should be is not that
-lamp's. Lamps whose directions differ by 6 degrees are so far apart in the middle of the ball."""
+"""Share of the ball's radius: a highlight farther than this from where a lamp's should be is not
+that lamp's. Lamps whose directions differ by 6 degrees are so far apart in the middle of the ball.
+"""
 CLEAR = 0.5
 """The next lamp's highlight must be farther off than the nearest one's over this."""
 LEAST_SEEN = 4
@@ -33,7 +34,7 @@ MOST_OFF_MM = 300.0
 SPREAD = (10.0, 90.0)
 """Percentiles between which highlights are compared for a first scale."""
 START_STEP, START_STEPS = 1.5, 2
-"""Of the gate, and how many to each side: starts around equal medians."""
+"""Distance of the starts around equal medians, in gates, and how many there are to each side."""
 SCALES = (0.8, 1.25)
 """Limits of that scale: a ball elsewhere, a lens that the rig has wrong."""
 

@@ -125,12 +125,12 @@ SPOILED = {
 def test_what_is_no_recogniser_is_refused_in_one_message(
     people: list[ProcessedFolder], tmp_path: Path, evaluate: Callable[..., Ended], spoiled: str
 ) -> None:
-    data, more, told = SPOILED[spoiled]
+    data, more, stated = SPOILED[spoiled]
     path, out, person = tmp_path / "faces.onnx", tmp_path / "figures.json", people[0].root
     path.write_bytes(data)
     ended = evaluate(person, "--truth", person, "--out", out, "--recogniser", path, *more)
     assert ended.code == 2
-    assert told in ended.err, ended.err
+    assert stated in ended.err, ended.err
     assert not out.exists()
 
 

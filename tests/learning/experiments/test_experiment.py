@@ -74,12 +74,12 @@ def test_a_second_call_finds_all_done_and_the_report_can_be_written_without_data
     assert (again["finished"], again["now"]) == (3, 0)
     facts = run(asked("ladder", finished, None, report=True))
     assert facts["finished"] == 3
-    said = (finished / "report.md").read_text()
-    assert "| single network | 80 |" in said
-    assert "another data set, another size" in said
-    assert "1 seed: the intervals hardly include what another seed would give" in said
-    assert "1 person held out: the intervals are too narrow" in said
-    assert "| `modern`, network alone | single network |" in said
+    text = (finished / "report.md").read_text()
+    assert "| single network | 80 |" in text
+    assert "another data set, another size" in text
+    assert "1 seed: the intervals hardly include what another seed would give" in text
+    assert "1 person held out: the intervals are too narrow" in text
+    assert "| `modern`, network alone | single network |" in text
     assert (finished / "reflectance-steps.svg").is_file()
     assert json.loads((finished / "report.json").read_text())["budgets"][STEPS]["settings"]
 
@@ -96,9 +96,9 @@ def test_runs_of_other_code_are_kept_apart_and_named(
     some = next(finished.glob("runs/0*/single-steps-seed0/figures.json")).read_text()
     (folder / "figures.json").write_text(some)
     run(asked("ladder", finished, None, report=True))
-    said = (finished / "report.md").read_text()
-    assert "Code 9.9+other" in said
-    assert "Runs of other code in this folder are not in the tables: 3 of 0." in said
+    text = (finished / "report.md").read_text()
+    assert "Code 9.9+other" in text
+    assert "Runs of other code in this folder are not in the tables: 3 of 0." in text
 
 
 def order_of(store_path: Path, out: Path, variant: str = "single", **more: object) -> Order:
@@ -159,8 +159,8 @@ def test_a_seed_that_diverged_is_counted_and_shown_and_other_errors_are_not_take
     out = tmp_path / "out"
     facts = run(asked("ladder", out, store_path, only="single"))
     assert (facts["finished"], facts["diverged"]) == (1, 1)
-    said = (out / "report.md").read_text()
-    assert "1 of 1 seed of single network diverged" in said
+    text = (out / "report.md").read_text()
+    assert "1 of 1 seed of single network diverged" in text
 
     def failing(_: object, where: Path, *__: object) -> None:
         raise TrainingError(where, field="patches", found="none")
@@ -172,26 +172,26 @@ def test_a_seed_that_diverged_is_counted_and_shown_and_other_errors_are_not_take
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"name": "scene"}, "name: found 'scene', expected 'ladder'"),
         ({"size": "demo"}, "steps"),
     ],
 )
 def test_two_experiments_in_one_folder_are_refused(
-    finished: Path, store_path: Path, changed: dict, said: str
+    finished: Path, store_path: Path, changed: dict, message: str
 ) -> None:
     request = dataclasses.replace(asked("ladder", finished, store_path), **changed)
     if changed.get("size") == "demo":
         config = finished.parent / "held.toml"
         config.write_text("held_out = 1\n")
         request = dataclasses.replace(request, config=config)
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=message):
         run(request)
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"name": "nonsense"}, "expected one of ladder"),
         ({"size": "huge"}, "--size"),
@@ -205,10 +205,10 @@ def test_two_experiments_in_one_folder_are_refused(
     ],
 )
 def test_what_is_asked_wrongly_is_refused_before_anything_is_written(
-    store_path: Path, tmp_path: Path, changed: dict, said: str
+    store_path: Path, tmp_path: Path, changed: dict, message: str
 ) -> None:
     request = dataclasses.replace(asked("ladder", tmp_path / "out", store_path), **changed)
-    with pytest.raises(LightstageError, match=said):
+    with pytest.raises(LightstageError, match=message):
         run(request)
     assert not (tmp_path / "out").exists()
 
@@ -295,15 +295,15 @@ def test_neighbours_of_the_ladder_differ_by_one_thing() -> None:
     config = sized("small", {}, "test")
     rungs = [v for v in EXPERIMENTS["ladder"](config).variants if v.preset == "demo"]
     trainings = [training_of(v, config, STEPS, 0, 5) for v in rungs]
-    told = []
+    lines = []
     for one, other in itertools.pairwise(trainings):
         assert isinstance(one, TrainConfig)
         assert isinstance(other, TrainConfig)
         flat = [
             {**vars(t), **{f"data.{k}": v for k, v in vars(t.data).items()}} for t in (one, other)
         ]
-        told.append({k for k in flat[0] if k != "data" and flat[0][k] != flat[1][k]})
-    assert told == [
+        lines.append({k for k in flat[0] if k != "data" and flat[0][k] != flat[1][k]})
+    assert lines == [
         {"render_weight", "render_norm"}, {"data.whole"}, {"environments"}, {"environments"},
         {"data.shadow_rows"},
     ]  # fmt: skip

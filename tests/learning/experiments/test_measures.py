@@ -171,8 +171,8 @@ def test_a_plot_is_whole_where_figures_are_missing(tmp_path: Path) -> None:
         Column("nothing", [], Interval(nan, nan, nan)),
     ]
     root = ElementTree.parse(draw("title", "across", "up", columns, tmp_path / "p.svg")).getroot()
-    said = [element.text for element in root.iter() if element.text and element.text.strip()]
-    assert {"title", "across", "up", "one & <two>", "nothing"} <= set(said)
+    text = [element.text for element in root.iter() if element.text and element.text.strip()]
+    assert {"title", "across", "up", "one & <two>", "nothing"} <= set(text)
     assert sum(element.tag.endswith("circle") for element in root.iter()) == 1
     draw("nothing", "", "", [], tmp_path / "empty.svg")
 

@@ -68,12 +68,12 @@ def read_png(path: Path) -> np.ndarray:
 
 def accessor(glb: tuple[dict[str, Any], bytes], index: int) -> np.ndarray:
     document, binary = glb
-    told = document["accessors"][index]
-    view = document["bufferViews"][told["bufferView"]]
+    fields = document["accessors"][index]
+    view = document["bufferViews"][fields["bufferView"]]
     data = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
-    if told["type"] == "SCALAR":
+    if fields["type"] == "SCALAR":
         return np.frombuffer(data, "<u4").reshape(-1, 3)
-    return np.frombuffer(data, "<f4").reshape(told["count"], int(told["type"][-1]))
+    return np.frombuffer(data, "<f4").reshape(fields["count"], int(fields["type"][-1]))
 
 
 def test_a_glb_read_by_trimesh_is_the_mesh_in_metres_with_its_texture_coordinates(
@@ -117,9 +117,9 @@ def test_the_specular_extension_reflects_the_specular_albedo_and_mirrors_no_more
 ) -> None:
     extensions = glb[0]["materials"][0]["extensions"]
     assert extensions["KHR_materials_ior"]["ior"] == 1.4
-    told = extensions["KHR_materials_specular"]
-    pixels = picture(glb, told["specularTexture"]["index"])
-    factor = np.array(told["specularColorFactor"])
+    fields = extensions["KHR_materials_specular"]
+    pixels = picture(glb, fields["specularTexture"]["index"])
+    factor = np.array(fields["specularColorFactor"])
     # The extension's own formula: F0 of the index, times colour, at most 1, times specular.
     f0 = np.minimum(F0 * factor * linear_from_srgb(pixels[..., :3]), 1) * pixels[..., 3:]
     skin = read_source(person).covered

@@ -62,7 +62,7 @@ def without_mesh(folder: ProcessedFolder) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "message"),
     [
         (without_a_map, "specular_albedo.exr"),
         (of_another_size, "expected 96 x 64, as diffuse_albedo"),
@@ -78,7 +78,7 @@ def without_mesh(folder: ProcessedFolder) -> None:
 )
 def test_bad_input_is_one_message_that_names_it_and_nothing_is_written(
     spoil: Any,
-    said: str,
+    message: str,
     person: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -89,7 +89,7 @@ def test_bad_input_is_one_message_that_names_it_and_nothing_is_written(
     before = sorted(tmp_path.iterdir())
     assert run(monkeypatch, "export", folder.root, "--out", tmp_path / "out") == 2
     err = capsys.readouterr().err
-    assert said in err
+    assert message in err
     assert "Traceback" not in err
     assert sorted(tmp_path.iterdir()) == before
 

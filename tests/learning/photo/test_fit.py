@@ -197,12 +197,12 @@ def test_a_filled_texture_has_no_step_at_the_photographs_border() -> None:
 
 def refused(shot: Shot, out: Path, *more: str | Path, photo: Path | None = None) -> str:
     """The message of a refusal; nothing is written."""
-    code, told = called(
+    code, stated = called(
         "fit", photo or shot.path, "--template", default_template_path(), "--out", out, *more
     )
     assert code == 2
     assert not out.exists()
-    return str(told["error"])
+    return str(stated["error"])
 
 
 def test_bad_input_is_refused_in_words_that_name_it(shot: Shot, tmp_path: Path) -> None:
@@ -260,13 +260,13 @@ def test_a_captured_heads_maps_are_an_avatar_without_a_fit(
     assert facts()["skipped"] == ["detail", "export"]
     captured.write_atlas("diffuse_albedo", 0.5 * captured.read_atlas("diffuse_albedo"))
     assert facts()["skipped"] == []
-    for words, said in (
+    for words, message in (
         ([*line, captured.registered_mesh], "found both"),
         ([word for word in line if word not in ("--maps", root)], "found neither"),
         ([*line, "--until", "fit"], "detail or export"),
     ):
         assert run(monkeypatch, *words) == 2
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err
 
 
 def test_an_avatar_refuses_before_it_writes_anything(shot: Shot, tmp_path: Path) -> None:
@@ -274,9 +274,9 @@ def test_an_avatar_refuses_before_it_writes_anything(shot: Shot, tmp_path: Path)
 
     def avatar(*more: str | Path, photo: Path = shot.path) -> str:
         words = ("avatar", photo, "--template", default_template_path(), "--out", out)
-        code, told = called(*words, *more)
+        code, stated = called(*words, *more)
         assert code == 2
-        return str(told["error"])
+        return str(stated["error"])
 
     assert "a folder" in avatar(photo=tmp_path)
     assert "--until" in avatar("--until", "page")

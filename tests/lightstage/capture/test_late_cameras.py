@@ -22,7 +22,7 @@ class World:
         self.needed_by = frozenset(cameras)
         self.last_over_s = float("-inf")
         self.out_s = None
-        self.told = []
+        self.reported = []
 
     def monotonic(self):
         return self.now_s
@@ -32,7 +32,7 @@ class World:
         return True
 
     def note(self, event, **facts):
-        self.told.append((round(self.now_s - TRIGGER_S, 6), event, facts))
+        self.reported.append((round(self.now_s - TRIGGER_S, 6), event, facts))
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def test_cameras_that_all_hang_on_the_first_shot_are_lit_for_the_shutter_time_an
     world = run(shutters, {}, 3.0)
     assert world.out_s == TRIGGER_S + 0.75
     names = [f"cam{i}" for i in range(len(shutters))]
-    warned, dark = world.told
+    warned, dark = world.reported
     assert warned == (
         0.5,
         "waiting",
@@ -79,10 +79,10 @@ def test_cameras_that_all_hang_on_the_first_shot_are_lit_for_the_shutter_time_an
 def test_a_camera_that_hangs_is_lit_for_the_grace_after_the_last_of_the_others(run):
     world = run(["1/4"] * 3, {"cam0": 0.5, "cam2": 0.7}, 3.0)
     assert world.out_s == TRIGGER_S + 1.2
-    assert [facts["cameras"] for _, _, facts in world.told] == [["cam1"], ["cam1"]]
+    assert [facts["cameras"] for _, _, facts in world.reported] == [["cam1"], ["cam1"]]
 
 
 def test_a_camera_whose_deadline_comes_first_is_left_to_it(run):
     world = run(["2.4"] * 2, {"cam0": 2.6}, 3.0)
     assert world.out_s is None
-    assert world.told == []
+    assert world.reported == []

@@ -446,18 +446,18 @@ def test_a_setting_that_either_answer_mends_reports_it(bench, name, message):
 
 def test_a_setting_that_drifted_is_set_back_where_the_photograph_is_accepted(bench):
     camera = bench.cameras[0]
-    told = camera.open()
+    found = camera.open()
     changed: list[tuple[str, str]] = []
 
     def summary():
         drifted = camera.shots >= 2 and not changed
-        return dataclasses.replace(told, iso="400") if drifted else told
+        return dataclasses.replace(found, iso="400") if drifted else found
 
     camera.summary = summary
     camera.change = lambda name, value: changed.append((name, value))
     bench.operator.answers = ["accept"]
     bench.run()
-    assert changed == [("iso", told.iso)]
+    assert changed == [("iso", found.iso)]
     assert len(bench.operator.asked) == 1  # the patterns after it are not in question
     assert bench.kept("x+") == ["cam0.dng", "cam1.dng", "cam2.dng"]
     assert [line["said"] for line in bench.events("note")].count("iso set back") == 1

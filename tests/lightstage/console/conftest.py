@@ -31,10 +31,10 @@ PATTERNS = "full,x+,x-"
 class Answer:
     """What a server said."""
 
-    def __init__(self, told: http.client.HTTPResponse) -> None:
-        self.status = told.status
-        self.headers = told.headers
-        self.body = told.read()
+    def __init__(self, response: http.client.HTTPResponse) -> None:
+        self.status = response.status
+        self.headers = response.headers
+        self.body = response.read()
         self.text = self.body.decode(errors="replace")
 
 
@@ -103,11 +103,11 @@ class Visitor:
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
         with contextlib.closing(connection):
             connection.request("GET", path, None, {"Cookie": self.cookie, **headers})
-            told = connection.getresponse()
-            assert told.status == 200, told.read()
+            response = connection.getresponse()
+            assert response.status == 200, response.read()
             found, number = [], ""
             while True:
-                line = told.readline().decode().strip()
+                line = response.readline().decode().strip()
                 if line.startswith("id: "):
                     number = line[4:]
                 if line.startswith("data: "):

@@ -80,12 +80,12 @@ def test_two_browsers_abort_at_once_and_the_session_goes_on_later(staged, plan) 
         visitors[0].post("/start")
         root = site.desk.folder / "P1+neutral"
         wait_until(lambda: len(events_of(root, "trigger")) == 2, "the second pattern")
-        said = together(
+        answers = together(
             *(lambda v=v: v.post("/session/P1+neutral/do", do="abort") for v in visitors)
         )
-        assert all(answer.status == 200 for answer in said)
-        assert all("STOPPING" in answer.text or "Not now" in answer.text for answer in said), [
-            answer.text for answer in said
+        assert all(answer.status == 200 for answer in answers)
+        assert all("STOPPING" in answer.text or "Not now" in answer.text for answer in answers), [
+            answer.text for answer in answers
         ]
         assert stage.device.dark
         wait_until(lambda: events_of(root, "aborted"), "the stop")
@@ -211,12 +211,12 @@ def test_a_server_that_is_killed_changes_nothing_of_a_capture(staged, plan) -> N
         assert check_session(root).frames == 9
         assert len(events_of(root, "begin", "resume", "aborted")) == 1
         # A stream that somebody follows does not hold the end up, and nothing is said of it.
-        told = again.stream("/session/P1+neutral/events?after=0")
+        stream = again.stream("/session/P1+neutral/events?after=0")
         process.send_signal(signal.SIGINT)
-        said, wrong = process.communicate(timeout=30)
+        printed, wrong = process.communicate(timeout=30)
         assert (process.returncode, wrong) == (0, "")
-        assert "page closed" in said
-        told.close()
+        assert "page closed" in printed
+        stream.close()
     finally:
         process.kill()
         process.wait()

@@ -51,8 +51,8 @@ def test_html_in_a_journal_is_shown_as_letters(site) -> None:
         assert "<script>alert" not in page.text
         assert "<img src=x" not in page.text
     assert "&lt;script&gt;" in visitor.get("/sessions").text
-    said = visitor.get(f"/session/{'%3Cscript%3E'}/part", **{"HX-Request": "true"})
-    assert "<script>" not in said.text
+    answer = visitor.get(f"/session/{'%3Cscript%3E'}/part", **{"HX-Request": "true"})
+    assert "<script>" not in answer.text
 
 
 def test_a_path_in_an_address_or_a_journal_leads_nowhere(site, dng) -> None:
@@ -108,8 +108,8 @@ def test_of_two_changes_at_once_one_is_refused(site, plan) -> None:
         lambda n=n: visitor.post("/plan/add", stamp=stamp, subject=f"P{n}", consent="C-1").text
         for n in (8, 9)
     ]
-    said = together(*add)
-    assert sorted("changed meanwhile" in each for each in said) == [False, True]
+    answers = together(*add)
+    assert sorted("changed meanwhile" in each for each in answers) == [False, True]
     assert len(read_plan(plan).subjects) == 3
 
 
@@ -161,14 +161,14 @@ def test_a_page_that_comes_back_gets_the_lines_that_it_lacks(site) -> None:
     write_session(site.desk.folder / "P1+neutral")
     visitor, path = site.visitor(), "/session/P1+neutral/events"
 
-    def at_end(told: dict) -> bool:
-        return told.get("event") == "end"
+    def at_end(lines: dict) -> bool:
+        return lines.get("event") == "end"
 
-    told = visitor.events(f"{path}?after=0", at_end)
-    assert [number for number, _ in told] == ["1", "2", "3", "4", "5", "6"]
-    assert [each["sound"] for _, each in told] == ["", "hold", "", "", "", "done"]
-    told = visitor.events(f"{path}?after=0", at_end, **{"Last-Event-ID": "4"})
-    assert [number for number, _ in told] == ["5", "6"]
+    lines = visitor.events(f"{path}?after=0", at_end)
+    assert [number for number, _ in lines] == ["1", "2", "3", "4", "5", "6"]
+    assert [each["sound"] for _, each in lines] == ["", "hold", "", "", "", "done"]
+    lines = visitor.events(f"{path}?after=0", at_end, **{"Last-Event-ID": "4"})
+    assert [number for number, _ in lines] == ["5", "6"]
 
 
 def test_a_report_may_show_pictures_and_run_nothing(plan, tmp_path) -> None:
@@ -217,10 +217,15 @@ def test_sessions_that_nobody_looks_at_hold_no_file(site) -> None:
 def test_each_session_keeps_the_reason_why_its_check_failed(site) -> None:
     for name in ("P1+neutral", "P1+smile"):
         root = write_session(site.desk.folder / name)
-        said = f"{root}/frames: a photograph of {name} is gone"
+        reason = f"{root}/frames: a photograph of {name} is gone"
         write_json(
             root / "checked.json",
-            {"schema": "lightstage.checked/1", "passed": False, "said": said, "session_sha256": ""},
+            {
+                "schema": "lightstage.checked/1",
+                "passed": False,
+                "said": reason,
+                "session_sha256": "",
+            },
         )
     page = site.visitor().get("/sessions").text
     for name in ("P1+neutral", "P1+smile"):
@@ -285,8 +290,8 @@ def test_a_person_is_removed_only_without_a_session(site, plan) -> None:
     assert page.count('action="/plan/remove"') == 1
     before = plan.read_bytes()
     for subject, part in (("P1", "a person without a session"), ("P9", "a subject of the plan")):
-        said = visitor.post("/plan/remove", subject=subject, stamp=site.desk.stamp()).text
-        assert part in said, said
+        text = visitor.post("/plan/remove", subject=subject, stamp=site.desk.stamp()).text
+        assert part in text, text
     assert plan.read_bytes() == before
     removed = visitor.post("/plan/remove", subject="P2", stamp=site.desk.stamp())
     assert removed.headers["HX-Redirect"] == "/plan"
@@ -299,8 +304,8 @@ def test_a_damaged_session_of_another_expression_keeps_its_person_too(site, plan
     root = site.desk.folder / "P1+asleep"
     root.mkdir(parents=True)
     (root / "journal.jsonl").write_text("{")
-    said = site.visitor().post("/plan/remove", subject="P1", stamp=site.desk.stamp()).text
-    assert "1 session (P1+asleep)" in said
+    text = site.visitor().post("/plan/remove", subject="P1", stamp=site.desk.stamp()).text
+    assert "1 session (P1+asleep)" in text
 
 
 def test_a_stage_whose_rig_is_gone_is_reported_in_words(tmp_path) -> None:

@@ -75,7 +75,7 @@ VALUES = st.one_of(
 def test_whatever_a_journal_holds_the_figures_are_finite_or_none(lines) -> None:
     warmth = Warmth()
     for event, when, levels, config, lit in lines:
-        told = {"event": event, "time_utc": when, "levels": levels, "config": config}
-        warmth.receive(told, lit)
+        values = {"event": event, "time_utc": when, "levels": levels, "config": config}
+        warmth.receive(values, lit)
         spent = warmth.budget(at(10))
         assert spent is None or (np.isfinite(spent[:4]).all() and 0 <= spent.heat <= 1)

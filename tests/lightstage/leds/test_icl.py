@@ -111,7 +111,7 @@ def test_one_wrong_late_or_lost_answer_is_asked_again(name, fields):
 
 
 @pytest.mark.parametrize(
-    ("fault", "said"),
+    ("fault", "message"),
     [
         (Fault("delay", at=2, way="answer", seconds=9), "no answer in 0.3 s, asked 2 times"),
         (Fault("die", at=2), "no answer in 0.3 s, asked 2 times, expected an answer"),
@@ -121,9 +121,9 @@ def test_one_wrong_late_or_lost_answer_is_asked_again(name, fields):
         (Fault("reset", at=2, seconds=0.2), "Did the server end"),
     ],
 )  # fmt: skip
-def test_a_server_that_stays_wrong_is_reported_and_the_light_is_lost(fault, said):
+def test_a_server_that_stays_wrong_is_reported_and_the_light_is_lost(fault, message):
     with far_end(fault) as server, open_leds(server.url(QUICK), 168) as leds:
-        with pytest.raises(LightLostError, match=said):
+        with pytest.raises(LightLostError, match=message):
             leds.light(np.ones(168))
         assert server.failure is None
 
@@ -283,14 +283,14 @@ def test_a_server_of_pages_is_reported():
 
 
 @pytest.mark.parametrize(
-    ("says", "said"),
+    ("says", "message"),
     [
         (b"", "found a connection that was closed at once, expected a WebSocket"),
         (b"SSH-2.0-OpenSSH_9.2\r\n", "found an answer that is no HTTP"),
         (None, "found a connection, and no answer in 0.3 s"),
     ],
 )
-def test_a_server_that_is_no_http_is_reported(says, said):
+def test_a_server_that_is_no_http_is_reported(says, message):
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
         def serve():
@@ -306,7 +306,7 @@ def test_a_server_that_is_no_http_is_reported(says, said):
         thread = threading.Thread(target=serve, daemon=True)
         thread.start()
         url = f"ws://127.0.0.1:{listener.getsockname()[1]}/ws?{QUICK}"
-        with pytest.raises(DeviceError, match=said):
+        with pytest.raises(DeviceError, match=message):
             open_leds(url, 168)
         thread.join()
 
@@ -332,7 +332,7 @@ def as_lsserver(response):
 
 
 @pytest.mark.parametrize(
-    ("answer", "said"),
+    ("answer", "message"),
     [
         (lambda data: [data], "found a message that is a map of id, command"),
         (lambda _: [json.dumps({"result": None})], "a message of 16 bytes that is no CBOR"),
@@ -353,8 +353,8 @@ def as_lsserver(response):
         ),
     ],
 )  # fmt: skip
-def test_a_websocket_server_that_is_not_lsserver_is_reported(answer, said):
-    with other_server(answer) as url, pytest.raises(DeviceError, match=said):
+def test_a_websocket_server_that_is_not_lsserver_is_reported(answer, message):
+    with other_server(answer) as url, pytest.raises(DeviceError, match=message):
         open_leds(url, 168)
 
 
@@ -366,8 +366,8 @@ def test_what_the_server_refuses_is_reported_in_its_words():
         return as_lsserver(CONFIG if asked == "GetConfig" else error)(data)
 
     with other_server(answer) as url, open_leds(url, 168) as leds:
-        said = r"SetFixtures: found refused \(CommandFailed: no power supply\), expected 'Ok'"
-        with pytest.raises(LightLostError, match=said):
+        text = r"SetFixtures: found refused \(CommandFailed: no power supply\), expected 'Ok'"
+        with pytest.raises(LightLostError, match=text):
             leds.light(np.ones(168))
 
 

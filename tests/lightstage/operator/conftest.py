@@ -193,7 +193,7 @@ class Terminal:
         self._reader.start()
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         """All that was shown so far, without control codes."""
         text = bytes(self._said).decode(errors="replace")
         return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
@@ -213,16 +213,16 @@ class Terminal:
 
     def wait_for(self, text: str, since: int = 0) -> int:
         """Wait until something is shown; returns how much was shown by then."""
-        return self.wait_until(lambda: text in self.said[since:], f"{text!r} was not shown")
+        return self.wait_until(lambda: text in self.output[since:], f"{text!r} was not shown")
 
     def wait_until(self, done: Callable[[], bool], failure: str | Callable[[], str]) -> int:
         until_s = time.monotonic() + 60
         while not done():
             if time.monotonic() >= until_s:
-                said = failure() if callable(failure) else f"{failure}: {self.said[-3000:]}"
+                said = failure() if callable(failure) else f"{failure}: {self.output[-3000:]}"
                 pytest.fail(said)
             time.sleep(0.01)
-        return len(self.said)
+        return len(self.output)
 
     def end(self) -> int:
         """Wait for the process; returns its code."""

@@ -208,15 +208,15 @@ def test_what_was_accepted_has_a_sign_of_its_own_and_rare_signs_are_explained_wh
     assert sum("a accepted" in line for line in lines) == 1
 
 
-@pytest.mark.parametrize(("columns", "said"), [(60, "7 patterns, 1 done"), (56, "1 of 7 done")])
-def test_the_count_above_the_signs_states_of_what(story, columns, said):
+@pytest.mark.parametrize(("columns", "message"), [(60, "7 patterns, 1 done"), (56, "1 of 7 done")])
+def test_the_count_above_the_signs_states_of_what(story, columns, message):
     journal = story(9)
     journal.begin()
     journal.shoot("full")
     lines = picture(shown(journal.lines), None, columns, 24)
     assert max(map(len, lines)) <= columns
     (head,) = (line for line in lines if line.startswith("Camera"))
-    assert head.endswith(said)
+    assert head.endswith(message)
 
 
 def test_a_long_sequence_is_shown_around_the_present_pattern(story):

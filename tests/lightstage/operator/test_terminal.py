@@ -213,7 +213,7 @@ def test_a_question_is_asked_in_plain_words_and_answered_by_a_key(capture, key, 
 def test_the_picture_fits_the_terminal(capture, columns):
     terminal, _ = capture(LOOP, columns=columns, rows=24)
     terminal.wait_for("stop, dark at once")
-    assert max(len(line.rstrip("\r")) for line in terminal.said.split("\n")) <= columns
+    assert max(len(line.rstrip("\r")) for line in terminal.output.split("\n")) <= columns
     terminal.press("q")
     terminal.end()
 
@@ -397,7 +397,7 @@ def test_a_session_that_shall_ask_nobody_has_no_keys(terminals):
     terminal = terminals("-c", program)
     terminal.wait_for("decided: retake")
     assert terminal.end() == 0
-    assert "dark at once" not in terminal.said
+    assert "dark at once" not in terminal.output
 
 
 def test_an_operator_can_be_made_without_a_terminal(replay):

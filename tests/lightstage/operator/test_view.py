@@ -263,31 +263,33 @@ def test_while_a_question_waits_it_is_dark_and_waits_for_the_operator(story):
 
 
 def test_what_was_accepted_is_no_news_once_its_photograph_is_taken_again(story):
-    told = story(1)
-    told.begin()
-    told.light("full", cameras=["cam0"])
-    told.expose("full", "cam0")
-    told.keep("full", "cam0")
-    told.add("finding", severity="warn", code="clipped", pattern="full", camera="cam0", found="x")
-    told.add("accepted", pattern="full", findings=[{"code": "clipped"}])
-    told.add("end", frames=1, capture={"accepted": 1, "accepted_findings": 1})
-    view = shown(told.lines)
+    journal = story(1)
+    journal.begin()
+    journal.light("full", cameras=["cam0"])
+    journal.expose("full", "cam0")
+    journal.keep("full", "cam0")
+    journal.add(
+        "finding", severity="warn", code="clipped", pattern="full", camera="cam0", found="x"
+    )
+    journal.add("accepted", pattern="full", findings=[{"code": "clipped"}])
+    journal.add("end", frames=1, capture={"accepted": 1, "accepted_findings": 1})
+    view = shown(journal.lines)
     assert [words.tone for words in view.news].count("warning") == 2
-    told.add("resume")
-    told.add("retake", takes=[["full", "cam0", 1]])
-    view = shown(told.lines)
+    journal.add("resume")
+    journal.add("retake", takes=[["full", "cam0", 1]])
+    view = shown(journal.lines)
     assert not any(words.tone == "warning" for words in view.news)
     assert not any("complete" in words.text for words in view.news)
     assert view.mark("full", "cam0") == "again"
 
 
 def test_a_question_about_the_same_pattern_is_counted(story):
-    told = story(1)
-    told.begin()
+    journal = story(1)
+    journal.begin()
     for times in (1, 2):
-        told.light("full", cameras=["cam0"])
-        told.add("asked", pattern="full", findings=[])
-        view = shown(told.lines)
+        journal.light("full", cameras=["cam0"])
+        journal.add("asked", pattern="full", findings=[])
+        view = shown(journal.lines)
         assert (view.asked, view.asked_times, view.shown) == ("full", times, "full")
-        told.add("answered", pattern="full", do="retake")
-    assert shown(told.lines).asked == ""
+        journal.add("answered", pattern="full", do="retake")
+    assert shown(journal.lines).asked == ""

@@ -51,8 +51,8 @@ def test_q_in_the_middle_is_a_stop_and_the_advised_line_goes_on(stage, capture, 
     assert terminal.mode() == terminal.before
     terminal.wait_for("STOPPING: lights out")
     terminal.wait_for("Stopped by the operator.")
-    assert "Error" not in terminal.said
-    advised = re.findall(r"To resume: (lightstage capture --resume[^\r\n]*)", terminal.said)[-1]
+    assert "Error" not in terminal.output
+    advised = re.findall(r"To resume: (lightstage capture --resume[^\r\n]*)", terminal.output)[-1]
     assert len(events(out, "aborted")) == 1
     assert not (out / "session.json").exists()
     kept = len(events(out, "frame"))
@@ -60,7 +60,7 @@ def test_q_in_the_middle_is_a_stop_and_the_advised_line_goes_on(stage, capture, 
 
     program, *words = shlex.split(advised)
     again = terminals("-m", program, *words)
-    assert again.end() == 0, again.said[-3000:]
+    assert again.end() == 0, again.output[-3000:]
     again.wait_for("12 of 12 photographs, COMPLETE")
     session = load_session(out)
     assert [frame.pattern for frame in session.file.frames][::3] == PATTERNS
@@ -91,11 +91,11 @@ def test_a_failed_camera_is_asked_about_and_taken_again_alone(stage, capture):
     terminal, out = capture("--sequence", "full,x+,x-")
     terminal.wait_for("What now?")
     terminal.wait_for("check its cable, battery and card")
-    assert "accept as it is" not in terminal.said
+    assert "accept as it is" not in terminal.output
     stage.device.on_state = show
     away.rename(gone)
     terminal.press("r")
-    assert terminal.end() == 0, terminal.said[-3000:]
+    assert terminal.end() == 0, terminal.output[-3000:]
     failed = events(out, "finding")
     assert {line["camera"] for line in failed if line["code"] == "not-taken"} == {"cam1"}
     takes = {(line["pattern"], line["camera"]): line["take"] for line in events(out, "frame")}
@@ -113,7 +113,7 @@ def test_pause_is_dark_and_goes_on(stage, capture):
     count = len(events(out, "frame"))
     assert count < 9
     terminal.press("c")
-    assert terminal.end() == 0, terminal.said[-3000:]
+    assert terminal.end() == 0, terminal.output[-3000:]
     assert len(events(out, "frame")) == 9
 
 
@@ -148,7 +148,7 @@ def test_who_watches_a_capture_that_is_killed_is_reported_with_the_line_that_goe
     later = terminals("-m", "lightstage", "watch", str(out))
     (begin,) = events(out, "begin")
     for each in (watcher, later):
-        assert each.end() == 0, each.said[-3000:]
+        assert each.end() == 0, each.output[-3000:]
         each.wait_for(f"To resume: {resume_line(out, begin['resume_with'])}")
         left = "\n".join(each.emulator.history)
         assert "and no capture runs" in left

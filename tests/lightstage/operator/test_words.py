@@ -162,7 +162,7 @@ def test_why_a_camera_gave_no_photograph_is_reported_without_what_stands_beside_
     )
     said_why = "no picture was taken. Try the shot again."
     assert cause(why, "cam5") == said_why
-    assert cause(f"DSC_1 lies on its card, though: {why}", "cam5").endswith(f"though: {said_why}")
+    assert cause(f"DSC_1 is on its card, though: {why}", "cam5").endswith(f"though: {said_why}")
     assert cause(why, "cam1") == plain(why)
 
 
@@ -187,7 +187,7 @@ def test_a_camera_that_does_not_start_again_is_reported_by_why_it_failed_first()
 
 
 def test_a_picture_found_on_a_cards_folder_is_told_without_its_path():
-    raw = "/DCIM/100SIM/DSC_0001.DNG lies on its card, though: camera cam4, trigger: found nothing"
+    raw = "/DCIM/100SIM/DSC_0001.DNG is on its card, though: camera cam4, trigger: found nothing"
     words = notice_of(
         {"event": "note", "about": ON_CARD, "pattern": "full", "camera": "cam4", "said": raw}
     )

@@ -15,17 +15,17 @@ class Body:
 
     def __init__(self, camera_id, stubborn=(), **fields):
         self.id = camera_id
-        self.told = Summary(**fields)
+        self.present = Summary(**fields)
         self.changes = []
         self.stubborn = stubborn
 
     def summary(self):
-        return self.told
+        return self.present
 
     def change(self, name, value):
         self.changes.append((name, value))
         if name not in self.stubborn:
-            self.told = dataclasses.replace(self.told, **{name: value})
+            self.present = dataclasses.replace(self.present, **{name: value})
 
 
 def test_names_and_places_are_refused_and_not_repeated():
@@ -66,7 +66,7 @@ def test_every_camera_that_cannot_be_cleared_is_reported_in_one_message():
     assert "camera cam2, artist" in message
     assert "cam1" not in message
     assert "Ann" not in message
-    assert bodies[1].told.owner == ""
+    assert bodies[1].present.owner == ""
 
 
 def test_no_cameras_is_nothing_to_clear():

@@ -45,14 +45,14 @@ class Bench:
         path.write_text(expect + self.bodies.cameras_file())
         self.file = read_cameras_file(path)
         self.cameras = find_cameras(rig, self.file, 20.0, lambda _: [])
-        self.told, problems = connect_problems(
+        self.summaries, problems = connect_problems(
             rig.cameras, self.cameras, self.file.allow_unverifiable
         )
         assert not problems
 
     def look(self):
         found = preflight(
-            self.rig, self.told, self.file, Leds(), self.out, Plan(10), PreflightConfig()
+            self.rig, self.summaries, self.file, Leds(), self.out, Plan(10), PreflightConfig()
         )
         return [(f.severity, f.code, f.camera) for f in found]
 
@@ -114,7 +114,7 @@ def test_names_are_cleared_where_that_is_asked(bench):
     names = {"owner": "Ann", "artist": "Ann", "copyright": "(c) Ann", "place": "51.5 N"}
     stage = bench(settings={"cam1": names})
     assert ("refuse", "privacy", "cam1") in stage.look()
-    stage.told = clear_privacy(stage.cameras)
+    stage.summaries = clear_privacy(stage.cameras)
     assert stage.look() == []
     assert stage.cameras[1].summary().owner == ""
 
@@ -124,7 +124,7 @@ def test_a_setting_that_drifts_shows_in_the_camera_and_in_its_photograph(
 ):
     story = Story((Fault("wrong-iso", camera="cam1", at=2, value="400"),))
     stage = bench(story=story)
-    before = stage.told["cam1"]
+    before = stage.summaries["cam1"]
 
     def look():
         path = stage.photograph(1, tmp_path / "a.dng")
@@ -141,5 +141,5 @@ def test_a_setting_that_drifts_shows_in_the_camera_and_in_its_photograph(
 def test_a_photograph_of_another_camera_is_reported_by_the_serial_in_it(bench, tmp_path, small_rig):
     stage = bench()
     path = stage.photograph(0, tmp_path / "a.dng")
-    (finding,) = photograph_findings(path, small_rig.cameras[2], stage.told["cam2"])
+    (finding,) = photograph_findings(path, small_rig.cameras[2], stage.summaries["cam2"])
     assert (finding.severity, finding.code) == ("refuse", "wrong-camera")

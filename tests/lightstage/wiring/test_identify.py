@@ -231,11 +231,11 @@ def test_on_two_controllers_a_light_gets_the_wire_that_lights_it():
         ((name, channel),) = [(name, each) for name, found in lit.items() for each in found]
         return wires.index(LightAddress(channel, name))
 
-    told: list[str] = []
+    lines: list[str] = []
     right: set[int] = set()
 
     def ask(_: str) -> str:
-        meant = int(re.findall(r"^Light (\d+)", told[-1])[0])
+        meant = int(re.findall(r"^Light (\d+)", lines[-1])[0])
         if shining() != meant:
             return f"s {shining()}"
         right.add(meant)
@@ -243,7 +243,7 @@ def test_on_two_controllers_a_light_gets_the_wire_that_lights_it():
 
     with LedDevice(4, see("left")) as left, LedDevice(4, see("right")) as other:
         urls = f"left={left.url(20.0)},right={other.url(20.0)}"
-        found = identify(rig, urls, ask, told_lights(told), lambda _: None, QUICK, 0.5)
+        found = identify(rig, urls, ask, told_lights(lines), lambda _: None, QUICK, 0.5)
         assert left.dark
         assert other.dark
     assert list(found.addresses) == wires

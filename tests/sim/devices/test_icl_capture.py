@@ -142,7 +142,7 @@ def test_after_ctrl_c_the_stage_is_manual_and_black(tmp_path):
             assert time.monotonic() < until, child.stderr.read()
             time.sleep(0.002)
         child.send_signal(signal.SIGINT)
-        said = child.communicate(timeout=60)[1]
-        assert child.returncode == 130, said
+        printed = child.communicate(timeout=60)[1]
+        assert child.returncode == 130, printed
         assert stage.device.dark
-        assert "--resume" in said
+        assert "--resume" in printed

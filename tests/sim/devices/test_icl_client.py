@@ -216,30 +216,34 @@ def test_sequences_are_uploaded_listed_played_and_deleted(client, python, tmp_pa
     path = tmp_path / f"three{suffix}"
     subprocess.run([str(python), "-c", SEQUENCE, str(path)], check=True)
     assert client("list-sequences") == "[]\n"
-    told = json.loads(client("upload-sequence", str(path)))
-    assert (told["name"], told["total_frames"], told["duration_secs"]) == ("three frames", 3, 0.1)
-    assert json.loads(client("list-sequences")) == [told]
-    assert json.loads(client("get-sequence", told["id"])) == told
-    client("set-mode", "playback", "--sequence-id", told["id"])
+    message = json.loads(client("upload-sequence", str(path)))
+    assert (message["name"], message["total_frames"], message["duration_secs"]) == (
+        "three frames",
+        3,
+        0.1,
+    )
+    assert json.loads(client("list-sequences")) == [message]
+    assert json.loads(client("get-sequence", message["id"])) == message
+    client("set-mode", "playback", "--sequence-id", message["id"])
     until(lambda: client.server.stage.triggers == 3)
     until(lambda: client.server.stage.mode == "Demo")
     played = [state.counts for state in client.server.states if state.mode == "Playback"]
     for arc, counts in enumerate(played[:3]):
         assert counts[arc * 14 + 5].tolist() == [0, 0, 0, 65535, 0, 128 * 257]
         assert np.count_nonzero(counts) == 2
-    client("delete-sequence", told["id"])
-    assert "not found" in client.refused("get-sequence", told["id"])
-    assert "not found" in client.refused("delete-sequence", told["id"])
-    assert "not found" in client.refused("set-mode", "playback", "--sequence-id", told["id"])
+    client("delete-sequence", message["id"])
+    assert "not found" in client.refused("get-sequence", message["id"])
+    assert "not found" in client.refused("delete-sequence", message["id"])
+    assert "not found" in client.refused("set-mode", "playback", "--sequence-id", message["id"])
     assert "ULID" in client.refused("get-sequence", "nonsense")
 
 
 def test_the_interactive_console_goes_through_its_menus(client):
-    said = client("interactive", "--no-color", keys=(
+    text = client("interactive", "--no-color", keys=(
         "1", "3", "7", "rgbw", "255 128 0", "", "b",  # an arc
         "4", "2", "", "b",  # the mode
         "q",
     ))  # fmt: skip
-    assert "Action completed" in said
-    assert "Disconnected" in said
+    assert "Action completed" in text
+    assert "Disconnected" in text
     assert (client.shines[7] == [65535, 128 * 257, 0] * 2).all()

@@ -24,14 +24,14 @@ from sim.errors import SimError
 
 def ask(stage, command, number=1):
     """What a stage answers to a command."""
-    told = cbor2.loads(stage.answer(cbor2.dumps({"id": number, "command": command})))["Response"]
-    assert told["id"] == number
-    return told["response"]
+    answer = cbor2.loads(stage.answer(cbor2.dumps({"id": number, "command": command})))["Response"]
+    assert answer["id"] == number
+    return answer["response"]
 
 
 def error(stage, command):
-    told = ask(stage, command)["Error"]
-    return told["code"], told["message"]
+    answer = ask(stage, command)["Error"]
+    return answer["code"], answer["message"]
 
 
 BLACK = {"rgb": [0, 0, 0], "white": [0, 0, 0]}
@@ -80,7 +80,7 @@ def test_a_group_that_is_absent_stays_as_it_is():
 
 
 @pytest.mark.parametrize(
-    ("command", "said"),
+    ("command", "expected"),
     [
         (None, "Missing 'command' field in payload"),
         ("GetMod", "unknown variant `GetMod`"),
@@ -102,11 +102,11 @@ def test_a_group_that_is_absent_stays_as_it_is():
         ({"UploadSequence": {"name": "a", "capture_hz": 3.0}}, "missing field `frames`"),
     ],
 )
-def test_what_cannot_be_done_is_an_error_and_changes_nothing(command, said):
+def test_what_cannot_be_done_is_an_error_and_changes_nothing(command, expected):
     stage = IclStage()
     code, message = error(stage, command)
     assert code == "InvalidPayload"
-    assert re.search(said, message)
+    assert re.search(expected, message)
     assert stage.mode == "Demo"
     assert not stage.emitters.any()
 
@@ -121,9 +121,9 @@ def test_a_batch_with_one_wrong_place_sets_none_of_them():
 
 @given(st.binary(max_size=100))
 def test_any_bytes_are_answered_and_what_is_no_request_with_a_null_id(data):
-    told = cbor2.loads(IclStage().answer(data))["Response"]
-    if told["id"] is None:
-        assert told["response"]["Error"]["code"] == "InvalidPayload"
+    answer = cbor2.loads(IclStage().answer(data))["Response"]
+    if answer["id"] is None:
+        assert answer["response"]["Error"]["code"] == "InvalidPayload"
 
 
 def test_a_trigger_waits_for_the_next_packet_and_only_one_may():
@@ -158,9 +158,9 @@ def test_a_playback_sends_its_last_frame_once_more():
     grid = [[[0, 0, 0]] * 14] * 12
     bright = [[[7, 7, 7]] * 14] * 12
     frames = [{"white_fixtures": grid, "rgb_fixtures": each} for each in (grid, bright)]
-    told = ask(stage, {"UploadSequence": {"name": "n", "capture_hz": 30.0, "frames": frames}})
-    assert list(told["Sequence"]) == ["id", "name", "capture_hz", "total_frames", "duration_secs"]
-    ask(stage, {"SetMode": {"type": "Playback", "id": told["Sequence"]["id"]}})
+    answer = ask(stage, {"UploadSequence": {"name": "n", "capture_hz": 30.0, "frames": frames}})
+    assert list(answer["Sequence"]) == ["id", "name", "capture_hz", "total_frames", "duration_secs"]
+    ask(stage, {"SetMode": {"type": "Playback", "id": answer["Sequence"]["id"]}})
     seen = []
     while stage.mode == "Playback":
         stage.tick()
@@ -177,10 +177,10 @@ def test_events_go_to_every_client_and_texts_are_passed_over():
             one.send(["a text ", "in parts"])
             one.send(cbor2.dumps({"id": 5, "command": {"SetMode": {"type": "Manual"}}}))
             for line, count in ((one, 2), (two, 1)):
-                told = [cbor2.loads(line.recv(5)) for _ in range(count)]
-                assert {"Event": {"ModeChanged": "Manual"}} in told
+                answer = [cbor2.loads(line.recv(5)) for _ in range(count)]
+                assert {"Event": {"ModeChanged": "Manual"}} in answer
                 if count == 2:
-                    assert {"Response": {"id": 5, "response": "Ok"}} in told
+                    assert {"Response": {"id": 5, "response": "Ok"}} in answer
     assert server.failure is None
 
 
@@ -243,14 +243,14 @@ def test_the_command_writes_what_was_lit_and_ends_with_ctrl_c(tmp_path):
         with connect(where, compression=None) as line:
             command = {"SetArc": {"arc_idx": 4, "colour": {"rgb": [500, 0, 0], "white": [0, 0, 0]}}}
             line.send(cbor2.dumps({"id": 1, "command": command}))
-            told = [cbor2.loads(line.recv(5)) for _ in range(2)]
-        assert {"Response": {"id": 1001, "response": "Ok"}} in told
+            facts = [cbor2.loads(line.recv(5)) for _ in range(2)]
+        assert {"Response": {"id": 1001, "response": "Ok"}} in facts
     finally:
         child.send_signal(signal.SIGTERM)
         assert child.wait(30) == 0
-    told = json.loads((tmp_path / "lit.json").read_text())
-    last = told["states"][-1]
-    assert (told["schema"], last["mode"]) == ("lightstage.simulated_icl/1", "Manual")
+    facts = json.loads((tmp_path / "lit.json").read_text())
+    last = facts["states"][-1]
+    assert (facts["schema"], last["mode"]) == ("lightstage.simulated_icl/1", "Manual")
     assert last["rgb"][4] == [[500, 0, 0]] * 14
     assert (tmp_path / "lit.png").stat().st_size > 100
     assert "other-id" in (tmp_path / "story.jsonl").read_text()
@@ -277,6 +277,6 @@ def test_a_picture_shows_each_light_where_it_stands():
     red = np.argwhere((found[..., 0] == 255) & (found[..., 1] < 50))
     assert red.min(axis=0).tolist() == [4 + 6 * 3, 4 + 6 * 3]
     assert red.max(axis=0).tolist() == [4 + 6 * 4 - 1, 4 + 6 * 4 - 1]
-    told = record(states, 2, 0.0)
-    assert np.array(told["states"][0]["rgb"])[3, 8].tolist() == [65535, 0, 0]
-    assert told["triggers"] == 2
+    answer = record(states, 2, 0.0)
+    assert np.array(answer["states"][0]["rgb"])[3, 8].tolist() == [65535, 0, 0]
+    assert answer["triggers"] == 2

@@ -68,7 +68,7 @@ class Ending:
     """How a capture ended.
 
     Attributes:
-        said: what the operator was told; empty when all went well.
+        message: the error that the operator got; empty when all went well.
         root: the session's folder.
         dark: whether the lights were dark when the capture had ended.
         happened: names of the faults, in order.
@@ -77,7 +77,7 @@ class Ending:
         shone: what shone when, as the LED device knows it.
     """
 
-    said: str
+    message: str
     root: Path
     dark: bool
     happened: list[str]
@@ -191,10 +191,10 @@ class StandingStage:
                 ]
                 with SafeLights(leds, small.config.safety, small.rig) as lights:
                     lights.dark()
-                    told, failed = open_cameras(cameras)
+                    happenings, failed = open_cameras(cameras)
                     if failed:
                         raise one_error(failed)
-                    by_id = dict(zip(ports, told, strict=True))
+                    by_id = dict(zip(ports, happenings, strict=True))
                     file = CamerasFile(allow_unverifiable=untold)
                     stage = Stage(small.rig, lights, tuple(cameras), by_id, file)
                     operator = Watching(small.config.operator)
@@ -209,7 +209,7 @@ class StandingStage:
         while coded.device.connected.is_set() and time.monotonic() < until:
             time.sleep(0.001)
         assert coded.device.failure is None
-        happened = [told.name for told in read_fault_log(self.desk / "faults.jsonl")]
+        happened = [happenings.name for happenings in read_fault_log(self.desk / "faults.jsonl")]
         dark, shone = coded.device.dark, coded.device.states
         return Ending(text, root, dark, happened, report, labels, shone)
 

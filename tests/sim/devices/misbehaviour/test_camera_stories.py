@@ -39,7 +39,7 @@ PLAIN = [f"{pattern}/cam{i}" for pattern in ("full", "x+", "x-") for i in range(
 def test_only_the_camera_that_failed_takes_the_pattern_again(stage, fault):
     ending = stage.capture(fault)
     assert ending.happened == [fault.name]
-    assert ending.fine, ending.said
+    assert ending.fine, ending.message
     assert ending.report.retakes == 1
     assert ending.kept() == sorted([*(set(PLAIN) - {"x+/cam1"}), "x+/cam1.take2"])
 
@@ -48,7 +48,7 @@ def test_only_the_camera_that_failed_takes_the_pattern_again(stage, fault):
 def test_a_picture_that_is_on_the_card_is_fetched_and_not_taken_again(stage, name):
     ending = stage.capture(Fault(name, camera="cam1", at=2))
     assert ending.happened == [name]
-    assert ending.fine, ending.said
+    assert ending.fine, ending.message
     assert ending.report.retakes == 0
     assert ending.kept() == PLAIN
 
@@ -70,7 +70,7 @@ def test_a_camera_that_cannot_go_on_is_reported_with_what_to_do_and_nothing_else
     ending = stage.capture(fault)
     assert set(ending.happened) == {fault.name}
     for part in ("x+ by cam1", message, "To resume: lightstage capture --resume --out"):
-        assert part in ending.said
+        assert part in ending.message
     assert ending.dark
     assert ending.shots() == ["full"]
     assert ending.kept() == ["full/cam0", "full/cam1", "full/cam2", "x+/cam0", "x+/cam2"]
@@ -82,7 +82,7 @@ def test_a_camera_that_hangs_is_ended_and_takes_its_picture_after_all(stage):
     deadlines = Deadlines(open_s=10.0, trigger_s=1.5, other_s=5.0)
     ending = stage.capture(Fault("hang", camera="cam1", at=2), deadlines=deadlines)
     assert ending.happened == ["hang"]
-    assert ending.fine, ending.said
+    assert ending.fine, ending.message
     # It hung with the picture on its card: found there, not taken again.
     assert ending.kept() == PLAIN
     assert any("no answer within 1.5 s" in line["said"] for line in ending.lines("note"))
@@ -92,7 +92,7 @@ def test_a_camera_that_hangs_does_not_keep_the_person_lit_and_takes_its_pattern_
     deadlines = Deadlines(open_s=10.0, trigger_s=4.0, other_s=5.0)
     stage.config = dataclasses.replace(stage.config, late_camera_grace_s=0.5, deadlines=deadlines)
     ending = stage.capture(Fault("hang", camera="cam1", at=2), deadlines=deadlines)
-    assert ending.fine, ending.said
+    assert ending.fine, ending.message
     warned, dark = ending.lines("waiting")
     assert (warned["pattern"], warned["cameras"], warned["lit"]) == ("x+", ["cam1"], True)
     assert 0 < warned["dark_in_s"] <= 0.5
@@ -118,7 +118,7 @@ def test_cameras_that_all_hang_on_the_first_shot_keep_nobody_lit(tmp_path, camer
     stage.config = dataclasses.replace(stage.config, late_camera_grace_s=0.5, deadlines=deadlines)
     faults = [Fault("hang", camera=camera.id, at=1) for camera in stage.rig.cameras]
     ending = stage.capture(*faults, deadlines=deadlines)
-    assert ending.fine, ending.said
+    assert ending.fine, ending.message
     ids = [camera.id for camera in stage.rig.cameras]
     warned, dark = ending.lines("waiting")
     assert (warned["pattern"], warned["cameras"], warned["lit"]) == ("full", ids, True)
@@ -136,7 +136,7 @@ def test_cameras_that_all_hang_on_the_first_shot_keep_nobody_lit(tmp_path, camer
 def test_a_card_with_room_for_two_files_is_full_at_the_third_and_the_two_are_kept(stage):
     ending = stage.capture(settings={"cam2": {"card_files": 2}})
     for part in ("x- by cam2", "the card is full", "--resume"):
-        assert part in ending.said
+        assert part in ending.message
     assert ending.dark
     assert ending.shots() == ["full", "x+"]
     assert ending.kept() == sorted(set(PLAIN) - {"x-/cam2"})
@@ -156,13 +156,13 @@ def test_what_comes_late_or_in_another_order_is_kept_under_its_own_name(stage, f
     settings = {camera.id: {"image_format": image_format} for camera in stage.rig.cameras}
     ending = stage.capture(fault, settings=settings)
     assert set(ending.happened) == {fault.name}
-    assert ending.fine, ending.said
+    assert ending.fine, ending.message
     assert ending.report.retakes == 0
 
 
 def test_a_camera_that_makes_jpegs_is_refused_before_a_light_goes_on(stage):
     ending = stage.capture(settings={"cam1": {"image_format": "JPEG"}})
-    assert "camera cam1, image_format: found JPEG" in ending.said
+    assert "camera cam1, image_format: found JPEG" in ending.message
     assert ending.dark
     assert not ending.root.exists()
 
@@ -171,7 +171,7 @@ def test_a_camera_that_makes_jpegs_is_refused_before_a_light_goes_on(stage):
 def test_a_setting_that_drifts_is_set_back_and_its_photograph_taken_again(stage, name):
     ending = stage.capture(Fault(name, camera="cam1", at=2))
     assert ending.happened == [name]
-    assert ending.fine, ending.said
+    assert ending.fine, ending.message
     assert "x+/cam1.take2" in ending.kept()
     # The first line is of this stage's fast lights, under which nobody sits.
     codes = [line["code"] for line in ending.lines("finding")]

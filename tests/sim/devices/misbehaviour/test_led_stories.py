@@ -20,7 +20,7 @@ LOST = "not as they were set"
 def refused(ending, *parts):
     """The operator is told, and there is no session that looks finished."""
     for part in parts:
-        assert part in ending.said, ending.said
+        assert part in ending.message, ending.message
     assert not (ending.root / "session.json").exists()
 
 
@@ -40,7 +40,7 @@ def test_a_rig_with_addresses_lights_the_lamps_that_its_patterns_name(stage):
     ]
     stage.rig = dataclasses.replace(stage.rig, lights=tuple(lights))
     ending = stage.capture(Fault("drop", at=SET_X, way="request"))
-    assert ending.fine, ending.said
+    assert ending.fine, ending.message
     assert ending.dark
     shone = [state.counts for state in ending.shone if state.counts.any()]
     assert {len(counts) for counts in shone} == {15}
@@ -55,7 +55,7 @@ def test_what_one_packet_suffers_on_the_line_is_mended_by_asking_again(stage, na
     more = {"seconds": 0.3} if name == "delay" else {"bits": 3} if name == "corrupt" else {}
     ending = stage.capture(Fault(name, at=SET_X, way=way, **more))
     assert ending.happened == [name]
-    assert ending.fine, ending.said
+    assert ending.fine, ending.message
     assert ending.dark
 
 
@@ -66,7 +66,7 @@ def test_a_bad_line_from_the_first_packet_to_the_last_loses_nothing(stage):
     ]
     ending = stage.capture(*faults, seed=3, attempts=8)
     assert len(set(ending.happened)) >= 3
-    assert ending.fine, ending.said
+    assert ending.fine, ending.message
     assert ending.dark
 
 
@@ -99,7 +99,7 @@ def test_a_device_that_restarts_is_greeted_again_and_its_photographs_are_kept_ap
     # Over before the host asks again, where it takes no time.
     ending = stage.capture(Fault("reset", at=STATE_FULL, seconds=seconds))
     assert ending.happened == ["reset"]
-    assert ending.fine, ending.said
+    assert ending.fine, ending.message
     assert ending.dark
     assert ending.report.retakes == len(ending.recovered()) == 3
 
@@ -107,7 +107,7 @@ def test_a_device_that_restarts_is_greeted_again_and_its_photographs_are_kept_ap
 def test_a_board_that_restarts_when_its_port_opens_is_waited_for(stage):
     ending = stage.capture(Fault("reset-on-open", seconds=0.2))
     assert "reset-on-open" in ending.happened
-    assert ending.fine, ending.said
+    assert ending.fine, ending.message
 
 
 @pytest.mark.parametrize("name", ["stuck-on", "dead-light"])
@@ -138,7 +138,7 @@ def test_lights_of_which_the_device_says_what_it_was_told_show_in_the_photograph
 
 def test_a_wrong_acknowledgement_voids_the_photograph_alone(stage):
     ending = stage.capture(Fault("wrong-acknowledgement", at=SET_X))
-    assert ending.fine, ending.said
+    assert ending.fine, ending.message
     assert ending.dark
     assert ending.kept() == [f"{p}/cam{i}" for p in ("full", "x+", "x-") for i in range(3)]
 

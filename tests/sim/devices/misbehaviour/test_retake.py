@@ -33,7 +33,7 @@ def test_a_photograph_of_a_finished_session_is_taken_again_and_the_earlier_take_
         first = (root / "frames/full/cam1.dng").read_bytes()
         before = frames(root)
         ending = again(standing, root, ["full"], "cam1")
-        assert ending.said == ""
+        assert ending.message == ""
         assert (ending.report.taken, ending.report.retakes) == (1, 1)
     assert (root / "frames/full/cam1.dng").read_bytes() == first
     assert frames(root) == before | {("full", "cam1"): "frames/full/cam1.take2.dng"}
@@ -53,7 +53,7 @@ def test_what_others_left_on_the_cards_since_does_not_enter_a_session_that_was_f
         root = standing.capture().root
         other = standing.capture().root
         ending = again(standing, root, ["x+", "x-"], "cam0")
-        assert ending.said == ""
+        assert ending.message == ""
     theirs = {hashlib.sha256(p.read_bytes()).hexdigest() for p in other.glob("frames/*/*.dng")}
     ours = {hashlib.sha256(p.read_bytes()).hexdigest() for p in root.rglob("*.dng")}
     assert len(theirs) == 9
@@ -64,11 +64,11 @@ def test_what_others_left_on_the_cards_since_does_not_enter_a_session_that_was_f
 def test_an_unfinished_session_does_not_take_in_what_another_session_left_on_the_cards(stage):
     with stage.standing(Fault("fail", camera="cam2", at=2, until=4)) as standing:
         first = standing.capture()
-        assert "x+ by cam2" in first.said
+        assert "x+ by cam2" in first.message
         other = standing.capture()
-        assert other.said == ""
+        assert other.message == ""
         ending = again(standing, first.root, ["full"], "cam0")
-        assert ending.said == ""
+        assert ending.message == ""
     assert len(other.kept()) == 9
     assert ending.recovered() == []
     assert frames(first.root)["full", "cam0"] == "frames/full/cam0.take2.dng"
@@ -79,13 +79,13 @@ def test_a_retake_that_was_cut_short_goes_on_by_resume(stage):
     with stage.standing(Fault("battery-empty", camera="cam1", at=4)) as standing:
         root = standing.capture().root
         ending = again(standing, root, ["full"], "cam1")
-        assert "its battery is empty" in ending.said
+        assert "its battery is empty" in ending.message
         with pytest.raises(FormatError, match="capture --resume"):
             check_session(root)
         state = standing.coded.cameras.folder("cam1") / "state.json"
         state.write_text(json.dumps(json.loads(state.read_text()) | {"off": False}))
         ending = standing.capture(root, order=unfinished(root)[1])
-        assert ending.said == ""
+        assert ending.message == ""
     assert frames(root)["full", "cam1"] != "frames/full/cam1.dng"
     assert (root / "frames/full/cam1.dng").is_file()
     assert ending.fine

@@ -37,13 +37,13 @@ def stale(**more):
 def second(standing, **more):
     """The session of the person who sits down after another one."""
     first = standing.capture(patterns=("full",), **more)
-    assert first.said == ""
+    assert first.message == ""
     return standing.capture(**more)
 
 
 def refused_once(ending, why):
     """An old picture was refused, kept aside, and the pattern taken again by its camera alone."""
-    assert ending.said == ""
+    assert ending.message == ""
     assert ending.fine
     assert ending.happened == ["stale"]
     (found,) = [e for e in ending.lines("finding") if e["code"] == "not-taken"]
@@ -89,7 +89,7 @@ def pretend_older(standing):
 def test_a_clock_that_is_set_in_the_middle_refuses_no_picture(stage):
     jump = Fault("drift", camera="cam1", at=2, setting="clock_offset_s", value="5000")
     ending = stage.capture(jump)
-    assert ending.said == ""
+    assert ending.message == ""
     assert ending.fine
     assert ending.report.retakes == 0
     assert any("its clock was set" in e.get("said", "") for e in ending.lines("note"))
@@ -98,10 +98,10 @@ def test_a_clock_that_is_set_in_the_middle_refuses_no_picture(stage):
 def test_a_camera_that_goes_on_giving_old_pictures_stops_the_capture_with_what_to_do(stage):
     with stage.standing(stale(until=99)) as standing:
         ending = second(standing)
-    assert "full by cam0" in ending.said
-    assert "the bytes of full by cam0" in ending.said
-    assert "Switch the camera off and on" in ending.said
-    assert "To resume: lightstage capture --resume" in ending.said
+    assert "full by cam0" in ending.message
+    assert "the bytes of full by cam0" in ending.message
+    assert "Switch the camera off and on" in ending.message
+    assert "To resume: lightstage capture --resume" in ending.message
     assert ending.lines("end") == []
     assert not (ending.root / "session.json").exists()
     assert ending.dark
@@ -113,7 +113,7 @@ def test_an_old_full_that_nothing_tells_is_found_where_it_contradicts_and_taken_
     with doubting.standing(stale(), settings=NO_CLOCK) as standing:
         standing.capture(doubting.root / "elsewhere" / "first", ("x+",), untold=NOT_REPORTED)
         ending = standing.capture(untold=NOT_REPORTED)
-    assert ending.said == ""
+    assert ending.message == ""
     assert ending.fine
     again = sorted((e["pattern"], e["camera"]) for e in ending.lines("rejected"))
     assert ("full", "cam0") in again
@@ -131,7 +131,7 @@ def test_check_finds_a_photograph_of_the_session_beside_and_one_older_than_its_s
         standing.capture(patterns=("full",))
         pretend_older(standing)
         ending = standing.capture(patterns=("full",))
-        assert ending.said == ""
+        assert ending.message == ""
         assert ending.labels.of_another
     with pytest.raises(FormatError, match=r"cam0\.dng, time in the file: .* when the session") as e:
         check_session(ending.root)

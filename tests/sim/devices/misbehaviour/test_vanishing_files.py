@@ -44,7 +44,7 @@ def spoil_one(root):
 
 def assert_whole(ending):
     """A finished session of which every photograph is on the disk as it was taken."""
-    assert ending.said == ""
+    assert ending.message == ""
     session = load_session(ending.root)
     assert [*missing_frames(session), *changed_frames(session)] == []
     assert check_manifest(ending.root) == []
@@ -94,8 +94,8 @@ def test_a_capture_whose_photographs_vanish_again_and_again_ends_with_the_reason
     stage.config = dataclasses.replace(stage.config, delete_from_cameras=True)
     stage.watch = lambda root, line: line["event"] == "shot" and remove_frames(root)
     ending = stage.capture()
-    assert "vanished from the disk" in ending.said
-    assert "capture --resume" in ending.said
+    assert "vanished from the disk" in ending.message
+    assert "capture --resume" in ending.message
     assert ending.dark
     assert ending.lines("end") == []
     assert ending.lines("aborted") != []
@@ -115,7 +115,7 @@ def test_a_file_that_vanishes_at_the_very_end_is_never_called_complete(stage, na
 
     monkeypatch.setattr(session_run, "write_manifest", write_and_remove)
     ending = stage.capture()
-    assert f"no {name}" in ending.said
+    assert f"no {name}" in ending.message
     assert ending.lines("end") == []
 
 
