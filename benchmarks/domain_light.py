@@ -119,10 +119,11 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--count", type=int, default=4, help="people of ICT's model")
+    parser.add_argument("--unseen", action="store_true", help="the half of ICT's people kept apart")
     parser.add_argument("--lights", default=",".join(LIGHTS), help="with commas")
     asked = parser.parse_args()
     network, _ = load_whole_face(shipped_weights())
-    heads = [make(who, ROWS) for who in chosen(["ict", "scan"], asked.count, False)]
+    heads = [make(who, ROWS) for who in chosen(["ict", "scan"], asked.count, asked.unseen)]
     body = []
     for name in asked.lights.split(","):
         light = light_of(name, NUMBER)
@@ -131,7 +132,7 @@ def main() -> None:
         for count in sorted({1, len(samples)}):
             body.append(row(name, samples[:count], true, network))
             print(" | ".join(body[-1]), flush=True)
-    if asked.lights != ",".join(LIGHTS) or asked.count != 4:
+    if asked.lights != ",".join(LIGHTS) or asked.count != 4 or asked.unseen:
         print(table(HEADER, body))
         return
     record(
