@@ -164,7 +164,8 @@ def _check_jpeg(data: bytes, path: Path, grey: bool = False) -> None:
 def _check_png(data: bytes, path: Path, grey: bool = False) -> None:
     if len(data) < 26:
         raise _damaged(path)
-    _check_size(*struct.unpack(">II", data[16:24]), path)
+    width, height = struct.unpack(">II", data[16:24])
+    _check_size(width, height, path)
     bits, colour_type = data[24], data[25]
     if not colour_type & _PNG_COLOUR and not (grey and colour_type == 0):
         raise _refused(path, "a grey PNG")

@@ -101,7 +101,8 @@ def domain_light(
             field="light",
             found="no lamp, only light from everywhere",
             expected="textures that a lamp lights",
-            hint="Are they unlit already?",
+            hint=f"Are they unlit already? Or were {settings.seconds:g} s too few? Give more by "
+            "--seconds.",
         )
     begin = LightSet("domain", np.array(closed.lamps_mm)[lit], closed.rgb[:-1][lit], closed.rgb[-1])
     refined = descend(

@@ -296,8 +296,10 @@ def fit_head(
     texels = [_Texels(each, config.rows, shape.model.face, super_resolution) for each in looked]
     together = _together(looked, texels)
     seen, first, camera = together.seen, texels[0], shape.cameras[0]
+    # The light is the first photograph's, and its own texels tell it best.
+    told = together.source == 0 if several else None
     inferred = first.inferred(
-        network, together.texture, seen, config.refine_seconds, camera, mesostructure
+        network, together.texture, seen, config.refine_seconds, camera, mesostructure, told
     )
     progress(steps - 1, steps)
     notes += inferred.notes
@@ -460,8 +462,9 @@ class _Texels:
         seconds: float,
         camera: Camera,
         mesostructure: TrainedMesostructure | None,
+        told: np.ndarray | None = None,
     ) -> Inferred:
-        """Skin and light of the texels that are shown."""
+        """Skin and light of the texels that are shown; those that are told have the light."""
         return infer_whole_face(
             network,
             np.where(shown[..., None], texture, 0).astype(np.float32),
@@ -472,6 +475,7 @@ class _Texels:
             mesostructure=mesostructure,
             camera_mm=camera.centre_mm,
             largest_misfit=LARGEST_MISFIT,
+            told=told,
         )
 
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from learning.domain.closed import LitSurfaces, find_light
+from learning.domain import command
+from learning.domain.closed import Found, LitSurfaces, find_light
 from learning.domain.command import read_target_light, write_domain_light
 from learning.domain.descent import descend
 from learning.domain.sample import Sample, sample_of
@@ -24,7 +25,7 @@ from learning.render.environments import (
     random_environment,
     random_lights,
 )
-from learning.whole.light import LitSurface
+from learning.whole.light import Light, LitSurface
 from lightstage.errors import LightstageError
 from lightstage.formats.environment import LightSet, read_lights
 from lightstage.formats.exr import write_exr
@@ -52,12 +53,15 @@ def off(found: LightSet) -> tuple[float, float]:
 
 def test_heads_as_one_surface_are_the_heads_one_after_the_other(samples: list[Sample]) -> None:
     both = LitSurfaces(samples, CAMERA_MM)
-    each = [LitSurface(s.mesh, s.raster, CAMERA_MM) for s in samples]
     irradiance, lobe = both.under(LIGHT.position_mm)
-    for index, (one, own) in enumerate(zip(each, both.split(irradiance), strict=True)):
-        np.testing.assert_array_equal(one.under(LIGHT.position_mm)[0], own)
-        np.testing.assert_array_equal(one.openness(), both.split(both.openness())[index])
+    openness = both.split(both.openness())
+    seen = both.split(both.seen(LIGHT.position_mm), 1)
+    last = LitSurface(samples[-1].mesh, samples[-1].raster, CAMERA_MM)
+    np.testing.assert_array_equal(last.under(LIGHT.position_mm)[0], both.split(irradiance)[-1])
+    np.testing.assert_array_equal(last.openness(), openness[-1])
+    np.testing.assert_array_equal(last.seen(LIGHT.position_mm), seen[-1])
     assert lobe.shape == irradiance.shape
+    assert [len(part) for part in openness] == [s.raster.covered.sum() for s in samples]
 
 
 def test_the_lamps_of_two_textures_are_found_in_closed_form(
@@ -86,12 +90,12 @@ def test_descent_brings_a_wrong_light_to_the_true_one_under_a_true_reflectance(
     ]
     turned = LIGHT.position_mm + np.array([[250.0, -200.0, 100.0], [150.0, 200.0, -100.0]])
     wrong = LightSet("wrong", turned, LIGHT.rgb[:, ::-1] * [[1.3], [0.6]], 2 * LIGHT.ambient_rgb)
-    refined = descend(true, wrong, CAMERA_MM, 60, 0.05, 20)
+    refined = descend(true, wrong, CAMERA_MM, 40, 0.06, 20)
     assert off(wrong)[0] > 12
     assert off(refined.light)[0] < 4
     np.testing.assert_allclose(refined.light.rgb, LIGHT.rgb, rtol=0.25)
     assert refined.after < 0.35 * refined.before
-    still = descend(true, wrong, CAMERA_MM, 0, 0.05, 20)
+    still = descend(true[:1], wrong, CAMERA_MM, 0, 0.06, 20)
     np.testing.assert_allclose(still.light.rgb, wrong.rgb, rtol=1e-5)
     assert still.before == still.after
 
@@ -141,13 +145,20 @@ def test_domain_light_reads_fits_and_names_what_is_wrong(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     out = tmp_path / "light.json"
-    line = ["domain-light", domain.folder, "--out", out, "--seconds", "1", "--steps", "3"]
+    wrong = Light(((500.0, 500.0, 900.0),), np.array([[0.5] * 3, [0.2] * 3]), 1.0)
+    monkeypatch.setattr(command, "find_light", lambda *_: Found(wrong, []))
+    line = ["domain-light", domain.folder, "--out", out, "--steps", "5"]
     assert run(monkeypatch, *line, "--json") == 0
     facts = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
-    assert facts["textures"] == 2
-    assert facts["difference_after"] <= facts["difference_before"]
-    assert len(read_lights(out).rgb) == facts["lamps"]
+    assert (facts["textures"], facts["lamps"]) == (2, 1)
+    assert facts["difference_after"] < facts["difference_before"]
+    assert len(read_lights(out).rgb) == 1
+    assert len(read_target_light(out).camera_mm) == 3
     assert "2 textures" in facts["notes"][0]
+    dark = Light((), np.array([[0.2] * 3]), 1.0)
+    monkeypatch.setattr(command, "find_light", lambda *_: Found(dark, []))
+    assert run(monkeypatch, *line) == 2
+    assert "no lamp" in capsys.readouterr().err
     empty, grey = tmp_path / "empty", tmp_path / "grey.exr"
     empty.mkdir()
     write_exr(grey, np.zeros((96, 64), np.float32))
