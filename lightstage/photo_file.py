@@ -12,16 +12,16 @@ from typing import Any, Literal
 from lightstage.containers import JPEG_HEAD, MOST_PARTS
 from lightstage.counting import counted
 from lightstage.errors import FormatError
+from lightstage.tiff import MAX_DIRECTORIES, SUB_IFDS, Entry, entries_at
 
 _EXR = b"\x76\x2f\x31\x01"
-_DNG_VERSION, _MAKE, _SUB_IFDS = 50706, 271, 330
+_DNG_VERSION, _MAKE = 50706, 271
 _REDUCED, _PHOTOMETRIC = 254, 262
 _DEVELOPED = {2, 5, 6, 8}
 """PhotometricInterpretation of RGB, CMYK, YCbCr and L*a*b* [TIFF1992]: no sensor's counts."""
 _CFA = 32803
 _PLACES = {273: 279, 324: 325}
 """Tags of strip and tile offsets, and those of their byte counts."""
-_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
 _MAKERS = {b"NIKON": ".nef", b"Canon": ".cr2", b"SONY": ".arw", b"PENTAX": ".pef"}
 _MAKERS |= {b"EASTMAN KODAK": ".kdc", b"Eastman Kodak": ".kdc", b"Kodak": ".kdc", b"KODAK": ".kdc"}
 _MAKERS |= {b"Hasselblad": ".3fr", b"Phase One": ".iiq", b"Leaf": ".mos", b"Mamiya": ".mef"}
@@ -38,8 +38,8 @@ _HEADS = {
 """Containers that LibRaw reads beside TIFF, CR3 and RAF: by their first bytes."""
 _RAF_PARTS = (84, 92, 100)
 """Where a RAF's header has offset and length of its preview, its header and its counts."""
-_MAX_IFDS = 32
-_READ = (_DNG_VERSION, _MAKE, _SUB_IFDS, _REDUCED, _PHOTOMETRIC)
+_MOST_ENTRIES = (1 << 16) - 1
+_READ = (_DNG_VERSION, _MAKE, SUB_IFDS, _REDUCED, _PHOTOMETRIC)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -207,32 +207,29 @@ def _directories(source: _Source, order: str) -> Iterator[dict[int, list[int]]]:
     """The TIFF's directories, SubIFDs too: tag to its values (a rational's two parts in a row)."""
     pending = list(source.unpack(order + "I", 4))
     seen: set[int] = set()
-    while pending and len(seen) < _MAX_IFDS:
+    while pending and len(seen) < MAX_DIRECTORIES:
         offset = pending.pop(0)
         if offset == 0 or offset in seen:
             continue
         seen.add(offset)
-        (count,) = source.unpack(order + "H", offset)
-        entries = source.take(offset + 2, 12 * count)
-        tags: dict[int, list[int]] = {}
-        # struct.error where the entries are cut: they are no whole number of twelve bytes then.
-        for index, entry in enumerate(struct.iter_unpack(order + "HHI4x", entries)):
-            tag, kind, length = entry
-            if tag in (*_READ, *_PLACES, *_PLACES.values()):
-                tags[tag] = _values(source, order, offset + 10 + 12 * index, kind, length)
-        pending += tags.get(_SUB_IFDS, [])
-        pending += source.unpack(order + "I", offset + 2 + 12 * count)
+        entries, following = entries_at(source.take, offset, order, _MOST_ENTRIES)
+        if following is None:
+            raise struct.error("a directory that is cut")
+        tags = {
+            entry.tag: _values(source, order, entry)
+            for entry in entries
+            if entry.tag in (*_READ, *_PLACES, *_PLACES.values())
+        }
+        pending += [*tags.get(SUB_IFDS, []), following]
         yield tags
 
 
-def _values(source: _Source, order: str, place: int, kind: int, length: int) -> list[int]:
-    size = _SIZES.get(kind, 0)
-    if size not in (1, 2, 4) or length > source.size:
+def _values(source: _Source, order: str, entry: Entry) -> list[int]:
+    """Whole numbers without a sign; struct.error of other types and beyond the end."""
+    letter = {1: "B", 2: "H", 4: "I"}.get(entry.each, "")
+    if not letter or entry.length > source.size:
         raise struct.error("a tag of no such type")
-    if size * length > 4:
-        (place,) = source.unpack(order + "I", place)
-    letter = {1: "B", 2: "H", 4: "I"}[size]
-    return list(source.unpack(f"{order}{length}{letter}", place))
+    return list(source.unpack(f"{order}{entry.length}{letter}", entry.value_place(order)))
 
 
 def _require_whole(tags: dict[int, list[int]], size: int, where: str | Path) -> None:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import dataclasses
 import errno
 import struct
-from collections.abc import Iterator
-from typing import BinaryIO
+from collections.abc import Callable, Iterator
+from typing import BinaryIO, NamedTuple
 
 from lightstage.printable import printable
 
@@ -29,6 +29,40 @@ _PAIRS = {5: "I", 10: "i"}
 
 Value = bytes | tuple[float, ...]
 """Text and undefined bytes as bytes; whole numbers, and quotients of rationals (NaN of x/0)."""
+
+
+class Entry(NamedTuple):
+    """One entry of a directory.
+
+    Attributes:
+        tag: number.
+        type: of its values [TIFF1992].
+        length: how many values.
+        place: byte at which the entry's last four bytes are: the value, or where a longer one is.
+        inline: these four bytes.
+    """
+
+    tag: int
+    type: int
+    length: int
+    place: int
+    inline: bytes
+
+    @property
+    def each(self) -> int:
+        """Bytes of one value; 0 of an unknown type."""
+        if self.type in _PAIRS:
+            return 8
+        return struct.calcsize("<" + _LETTERS[self.type]) if self.type in _LETTERS else 0
+
+    @property
+    def size(self) -> int:
+        """Bytes of all values."""
+        return self.each * self.length
+
+    def value_place(self, order: str) -> int:
+        """Byte at which the value begins."""
+        return self.place if self.size <= 4 else int(struct.unpack(order + "I", self.inline)[0])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,35 +172,43 @@ def directory_at(reader: Reader, place: int, order: str, kind: str) -> tuple[Dir
     """
     tags: dict[int, Value] = {}
     places: dict[int, int] = {}
-    head = reader.bytes_at(place, 2)
-    count = struct.unpack(order + "H", head)[0] if len(head) == 2 else 0
-    if count > MAX_ENTRIES:
-        return Directory(kind, tags, places), 0
-    table = reader.bytes_at(place + 2, 12 * count + 4)
-    for index in range(min(count, len(table) // 12)):
-        tag, type_, length = struct.unpack_from(order + "HHI", table, 12 * index)
-        inline = place + 2 + 12 * index + 8
-        size = _size(type_) * length
-        if size == 0 or size > MAX_VALUE_BYTES:
+    entries, following = entries_at(reader.bytes_at, place, order, MAX_ENTRIES)
+    for entry in entries:
+        if entry.size == 0 or entry.size > MAX_VALUE_BYTES:
             # Long tables (strip offsets) and unknown types hold nothing that is needed.
             continue
-        where = inline
-        if size > 4:
-            (where,) = struct.unpack_from(order + "I", table, 12 * index + 8)
+        where = entry.value_place(order)
         # Inline values are in the table that was read.
-        data = table[12 * index + 8 :][:size] if size <= 4 else reader.bytes_at(where, size)
-        if len(data) == size:
-            tags[tag] = _value(type_, length, data, order)
-            places[tag] = reader.base + where
+        in_place = entry.size <= 4
+        data = entry.inline[: entry.size] if in_place else reader.bytes_at(where, entry.size)
+        if len(data) == entry.size:
+            tags[entry.tag] = _value(entry.type, entry.length, data, order)
+            places[entry.tag] = reader.base + where
+    return Directory(kind, tags, places), following or 0
+
+
+def entries_at(
+    take: Callable[[int, int], bytes], place: int, order: str, most: int
+) -> tuple[list[Entry], int | None]:
+    """A directory's entries, and where the next of its chain is (0: nowhere; None: it is cut).
+
+    Args:
+        take: gives so many bytes (second) from a place (first) on, fewer at the file's end.
+        place: of the directory.
+        order: ``<`` or ``>``.
+        most: entries; a directory of more counts as cut, with none.
+    """
+    head = take(place, 2)
+    count = struct.unpack(order + "H", head)[0] if len(head) == 2 else 0
+    if len(head) < 2 or count > most:
+        return [], None
+    table = take(place + 2, 12 * count + 4)
+    entries = []
+    for index in range(min(count, len(table) // 12)):
+        tag, type_, length, inline = struct.unpack_from(order + "HHI4s", table, 12 * index)
+        entries.append(Entry(tag, type_, length, place + 10 + 12 * index, inline))
     rest = table[12 * count :]
-    following = struct.unpack(order + "I", rest)[0] if len(rest) == 4 else 0
-    return Directory(kind, tags, places), following
-
-
-def _size(type_: int) -> int:
-    if type_ in _PAIRS:
-        return 8
-    return struct.calcsize("<" + _LETTERS[type_]) if type_ in _LETTERS else 0
+    return entries, struct.unpack(order + "I", rest)[0] if len(rest) == 4 else None
 
 
 def _value(type_: int, length: int, data: bytes, order: str) -> Value:

@@ -12,7 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 from cobs import cobs
-from crc import Calculator, Crc16
+
+from sim.errors import SimError
 
 VERSION = 1
 HELLO_ASKED, HELLO, SET, DARK, STATE_ASKED, LIT, REFUSED = 0x01, 0x02, 0x10, 0x11, 0x12, 0x20, 0x2F
@@ -76,6 +77,15 @@ class LedProtocol:
         self._show = show
         self._lamps = lamps
         self._shining = Shining(self.counts, self.counts)
+        try:
+            from crc import Calculator, Crc16
+        except ImportError:
+            raise SimError(
+                "the simulated LED device",
+                found="no package crc",
+                expected="the extra `sim`",
+                hint="pip install 'lightstage[sim]'.",
+            ) from None
         self._crc = Calculator(Crc16.IBM_3740.value, optimized=True)
         self._pending = b""
         # The last number and its answer; nothing for LIT, which is made anew each time.

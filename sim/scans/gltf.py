@@ -3,6 +3,10 @@
 Read after the specification [GLTF20]. What a scan does not need (skins, animations, morph targets,
 cameras, vertex colours) is passed over; what would be shown wrongly (compressed meshes, transformed
 textures, several colour textures) is refused.
+
+Neither trimesh nor pygltflib does all of this: trimesh 5.2 knows neither KHR_mesh_quantization nor
+KHR_texture_transform, and decodes pictures by PIL, which nothing here installs; pygltflib leaves
+accessors, nodes, pictures and limits to its caller.
 """
 
 from __future__ import annotations
