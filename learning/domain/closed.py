@@ -94,7 +94,7 @@ def find_light(
     skins = [known_skin(network, s.answer, s.raster.covered, s.weight) for s in samples]
     texture = np.concatenate([s.colours for s in samples])
     fit = LightFit(surface, texture, np.concatenate([s.weight for s in samples]))
-    known = [Explained(s.said, np.zeros((0, 3)), 1.0, s.doubt) for s in skins]
+    known = [Explained(s.answer, np.zeros((0, 3)), 1.0, s.doubt) for s in skins]
     light: Light | None = None
     for done in range(rounds):
         albedo = np.concatenate(_albedos(skins, known))
@@ -102,8 +102,10 @@ def find_light(
         light = fit.find(albedo, np.concatenate(shine), light, until)
         columns = [surface.split(values) for values in fit.columns(light.lamps_mm)]
         known = [
-            explain(s.colours, s.weight, *parts, skin, dataclasses.replace(e, rgb=light.rgb))
-            for s, skin, e, *parts in zip(samples, skins, known, *columns, strict=True)
+            explain(
+                s.colours, s.weight, irradiance, lobe, skin, dataclasses.replace(e, rgb=light.rgb)
+            )
+            for s, skin, e, irradiance, lobe in zip(samples, skins, known, *columns, strict=True)
         ]
         light = dataclasses.replace(light, rgb=_mean(known, light.rgb))
         progress(done + 1, rounds)

@@ -81,7 +81,7 @@ def descend(
             seen = scene.seen(values.places())
         optimiser.zero_grad()
         loss = scene.off(values.environment(), seen)
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         optimiser.step()
         fall.step()
         progress(step + 1, steps)
@@ -108,7 +108,7 @@ class _Scene:
         fields = [f.name for f in dataclasses.fields(SkinMaps) if f.name != "texel_mm"]
         parts = {name: [getattr(skin, name) for skin in skins] for name in fields}
         self._skin = SkinMaps(
-            **{n: None if each[0] is None else torch.cat(each) for n, each in parts.items()},
+            **{n: torch.cat(each) for n, each in parts.items() if each[0] is not None},
             texel_mm=float(np.mean([skin.texel_mm for skin in skins])),
         )
         self._open = torch.from_numpy(np.stack(openness))[:, None]

@@ -24,7 +24,7 @@ from tests.processing.textured_ball import RADIUS_MM
 
 # A pixel is 1.4 mm wide here, seven times a demo's.
 CONFIG = ReconstructConfig(cell_mm=3.0, trim_mm=5.0, agree_mm=1.5)
-ONE_LOOK = dataclasses.replace(CONFIG, look_again=False, splits=0)
+ONE_LOOK = dataclasses.replace(CONFIG, look_again=False)
 """Half the time, where a claim is one of the first look."""
 
 

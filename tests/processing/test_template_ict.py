@@ -30,6 +30,11 @@ def clone(head_data):
 
 
 @pytest.fixture(scope="module")
+def model(clone):
+    return read_ict(clone)
+
+
+@pytest.fixture(scope="module")
 def folder(clone, tmp_path_factory):
     config = ImportConfig()
     template, facts = import_ict(clone, config)
@@ -43,8 +48,8 @@ def made(folder):
     return load_template(folder)
 
 
-def test_the_face_has_the_square_tile_and_the_head_the_rest(made, clone):
-    mesh, model = made.mesh, read_ict(clone)
+def test_the_face_has_the_square_tile_and_the_head_the_rest(made, model):
+    mesh = made.mesh
     # ICT's own order of vertices: the face first.
     of_face = (mesh.faces.max(axis=1) < FACE)[:, None] & (mesh.face_uvs >= 0)
     face = mesh.uvs[mesh.face_uvs[of_face]]
@@ -73,8 +78,7 @@ def test_lengths_are_mm_in_the_axes_of_our_own_template(made):
     assert marks[30, 2] > made.mesh.vertices[:, 2].max() - 1
 
 
-def test_modes_are_icts_meshes_minus_its_mean_in_mm(made, clone):
-    model = read_ict(clone)
+def test_modes_are_icts_meshes_minus_its_mean_in_mm(made, model, clone):
     names = tuple(sorted(p.stem for p in (clone / "FaceXModel").glob("*.obj")
                          if not p.stem.startswith(("identity", "generic"))))  # fmt: skip
     assert made.modes.expression_names == names
