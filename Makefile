@@ -12,7 +12,7 @@ BENCHMARKS = $(filter-out $(BY_HAND) stale, $(notdir $(basename $(shell grep -l 
 # Processes that share the tests: one more than two cores have, for many tests wait (for a device's
 # answer, a deadline, a process that they started), and left a sixth of two workers' cores idle.
 WORKERS ?= 3
-# Waiting threads sleep instead of spinning: two test workers share the cores.
+# Waiting threads sleep instead of spinning: the test workers share the cores.
 export OMP_WAIT_POLICY := PASSIVE
 # Every step and many tests start a process: they need not compile this code again.
 export PYTHONDONTWRITEBYTECODE :=

@@ -30,7 +30,7 @@ def tiny_config(rig: Path) -> DemoConfig:
 
 
 def tiny_rig(path: Path) -> Path:
-    """Five cameras of 200 x 300 pixels and every fourth of the default lights."""
-    rig = default_rig().scaled(300 / 6016)
+    """Five cameras of 240 x 360 pixels and every fourth of the default lights."""
+    rig = default_rig().scaled(360 / 6016)
     cameras = tuple(camera for camera in rig.cameras if camera.id in CAMERAS)
     return save_rig(dataclasses.replace(rig, lights=rig.lights[::4], cameras=cameras), path)

@@ -37,7 +37,7 @@ def pytest_configure() -> None:
 
 
 def read_shipped_mesh_once(read: Callable[[Path], Mesh]) -> Callable[[Path], Mesh]:
-    """`read_obj` for templates: most commands read the shipped one, a quarter of a second each."""
+    """`read_obj` for templates: hundreds of tests read the shipped one, for a fifth of a second."""
     shipped, once = default_template_path() / "mesh.obj", functools.cache(read)
     return lambda path: copy.deepcopy(once(path)) if path == shipped else read(path)
 
@@ -51,8 +51,8 @@ LAST = ("tests/test_end_to_end.py", "tests/sim/", "tests/lightstage/test_")
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Slow files are marked; the longest test goes before the simulator's, what is quick last.
 
-    Most of what the longest one runs is compiled by then, and the other worker is left enough to do
-    beside it. Workers take what is left from each other by halves: where that happens most often,
+    Most of what the longest one runs is compiled by then, and the other workers are left enough to
+    do beside it. Workers take what is left from each other by halves: where that happens most often,
     at the end, no test is long and none shares what takes long to make with those beside it.
     """
     slow = slow_files()

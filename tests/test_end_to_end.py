@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,6 @@ import numpy as np
 import pytest
 
 from demo.measure import Measured, run_measured, tree_rss_kb
-from demo.report import write_demo_report
 from demo.run import run
 from demo.steps import ABOUT, Layout
 from demo.tiny import CAMERAS, tiny_config
@@ -36,20 +36,18 @@ PATTERNS = ("full", "x+", "x-", "y+", "y-", "z+", "z-")
 def in_this_process(command: Sequence[str]) -> Measured:
     """Stands for run_measured: most steps take longer to import their modules than to run.
 
-    What drives the stage stays a process, as `make demo` has all of them.
+    What drives the stage, and the report, stay processes, as `make demo` has all steps.
     """
     program, *words = command[2:]
-    if words[0] == "session" or program == "lightstage":
+    if words[0] == "session" or program in ("lightstage", "demo.report"):
         return run_measured(command)
     begun = time.perf_counter()
-    if program == "demo.report":
-        write_demo_report(Path(words[0]))
-        code = 0
-    else:
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")  # as in a process of its own, a warning is no error
         ended = run_program(program, *words)
-        print(ended.out, ended.err)  # what pytest shows where the test fails
-        code = ended.code
-    return Measured(code, time.perf_counter() - begun, tree_rss_kb(os.getpid()) / 1024)
+    print(ended.out, ended.err)  # what pytest shows where the test fails
+    seconds = time.perf_counter() - begun
+    return Measured(ended.code, seconds, tree_rss_kb(os.getpid()) / 1024)
 
 
 def test_the_demo_runs_end_to_end_on_a_tiny_rig(
