@@ -67,7 +67,7 @@ def test_heads_as_one_surface_are_the_heads_one_after_the_other(samples: list[Sa
 def test_the_lamps_of_two_textures_are_found_in_closed_form(
     samples: list[Sample], network: WholeFaceNetwork
 ) -> None:
-    found = find_light(samples, network, CAMERA_MM, 60.0, 1).light
+    found = find_light(samples, network, CAMERA_MM, 600.0, 1).light
     degrees, strength = off(LightSet("", np.array(found.lamps_mm), found.rgb[:-1], found.rgb[-1]))
     assert degrees < 12
     assert strength < 0.5
@@ -90,12 +90,12 @@ def test_descent_brings_a_wrong_light_to_the_true_one_under_a_true_reflectance(
     ]
     turned = LIGHT.position_mm + np.array([[250.0, -200.0, 100.0], [150.0, 200.0, -100.0]])
     wrong = LightSet("wrong", turned, LIGHT.rgb[:, ::-1] * [[1.3], [0.6]], 2 * LIGHT.ambient_rgb)
-    refined = descend(true, wrong, CAMERA_MM, 40, 0.06, 20)
+    refined = descend(true, wrong, CAMERA_MM, 60, 0.05, 20)
     assert off(wrong)[0] > 12
     assert off(refined.light)[0] < 4
     np.testing.assert_allclose(refined.light.rgb, LIGHT.rgb, rtol=0.25)
     assert refined.after < 0.35 * refined.before
-    still = descend(true[:1], wrong, CAMERA_MM, 0, 0.06, 20)
+    still = descend(true[:1], wrong, CAMERA_MM, 0, 0.05, 20)
     np.testing.assert_allclose(still.light.rgb, wrong.rgb, rtol=1e-5)
     assert still.before == still.after
 
