@@ -51,7 +51,6 @@ MARKS: dict[Mark, str] = {
     "accepted": "a",
 }
 """Signs of photographs: read without any colour."""
-MARK_WORDS: dict[Mark, str] = {**dict(LEGEND), "to come": "to come"}
 
 BANNERS: dict[Phase, tuple[str, str]] = {
     "before": ("…", "NOT BEGUN"),
