@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 
-import numba
 import numpy as np
 from scipy import ndimage
 
 from learning.vectors import unit
 from lightstage.errors import FormatError
 from lightstage.formats.mesh import Mesh, vertex_normals
+from processing.atlas.raster import rasterise as atlas_raster
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +46,7 @@ class UvRaster:
 
 
 def rasterise(mesh: Mesh, rows: int, columns: int) -> UvRaster:
-    """Find each texel's triangle; where triangles overlap in UV the last one counts.
+    """Find each texel's triangle, as the atlas does it: of triangles that overlap the first counts.
 
     Raises:
         FormatError: no UV, or none inside the 0..1 tile.
@@ -54,35 +54,13 @@ def rasterise(mesh: Mesh, rows: int, columns: int) -> UvRaster:
     corner_uvs = mesh.triangle_uvs()
     if mesh.uvs is None:
         raise FormatError("mesh", field="uv", found="none", expected="texture coordinates")
-    texels = mesh.uvs * [columns, -rows] + [0, rows]
-    face, barycentric = _rasterise(texels[corner_uvs], rows, columns)
-    if (face < 0).all():
+    found = atlas_raster(mesh.uvs, corner_uvs, rows, columns)
+    if (found.face < 0).all():
         raise FormatError("mesh", field="uv", found="no texel covered", expected="UV in 0..1")
-    return UvRaster(face, barycentric, mesh.triangles())
-
-
-@numba.njit(cache=True)
-def _rasterise(corners: np.ndarray, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    face = np.full((rows, columns), -1, np.int32)
-    barycentric = np.zeros((rows, columns, 3), np.float32)
-    for index in range(len(corners)):
-        (ax, ay), (bx, by), (cx, cy) = corners[index]
-        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        if not (abs(area) > 1e-12 and abs(area) < np.inf):
-            continue
-        left, right = max(0, int(min(ax, bx, cx))), min(columns - 1, int(max(ax, bx, cx)))
-        top, bottom = max(0, int(min(ay, by, cy))), min(rows - 1, int(max(ay, by, cy)))
-        for row in range(top, bottom + 1):
-            for column in range(left, right + 1):
-                x, y = column + 0.5, row + 0.5
-                b = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area
-                c = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area
-                a = 1.0 - b - c
-                # A texel on a shared edge belongs to one of the two, whatever the rounding.
-                if a >= -1e-9 and b >= -1e-9 and c >= -1e-9:
-                    face[row, column] = index
-                    barycentric[row, column] = (a, b, c)
-    return face, barycentric
+    barycentric = np.empty((rows, columns, 3), np.float32)
+    barycentric[..., 1:] = found.barycentric
+    barycentric[..., 0] = (found.face >= 0) - found.barycentric[..., 0] - found.barycentric[..., 1]
+    return UvRaster(found.face, barycentric, mesh.triangles())
 
 
 def spread_outside(image: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -50,7 +50,6 @@ MARKS: dict[Mark, str] = {
     "accepted": "a",
 }
 """Signs of photographs, which need no colour."""
-MARK_WORDS: dict[Mark, str] = {**dict(LEGEND), "to come": "to come"}
 
 BANNERS: dict[Phase, tuple[str, str]] = {
     "before": ("…", "NOT BEGUN"),

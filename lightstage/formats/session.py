@@ -163,12 +163,6 @@ def save_session(root: Path, file: SessionFile) -> Path:
     return write_json(root / "session.json", file.model_dump(by_alias=True, mode="json"))
 
 
-def state_hash(levels: np.ndarray) -> str:
-    """SHA-256 of a state's (n,) 16-bit levels (little endian), as the wire acknowledges it."""
-    counts = np.round(np.asarray(levels, float) * 65535).astype("<u2")
-    return hashlib.sha256(counts.tobytes()).hexdigest()
-
-
 def missing_frames(session: Session) -> list[LightstageError]:
     """One error for each photograph that is named but not there, or absent from the grid."""
     problems: list[LightstageError] = []

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from processing.pipeline import PipelineConfig
 
 MOST_WORKERS = 1024
-NOT_ALL_DONE = 2
 
 
 def register(app: typer.Typer) -> None:

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 
 from lightstage.formats.mesh import Mesh, vertex_normals
-from lightstage.formats.processed import texel_uv
 from sim.head.grid import COLUMNS, ROWS
 from sim.head.mesh import grid_vertices, regions
 from sim.skin.normals import bend_normals
@@ -45,12 +44,6 @@ def region_map(name: str, rows: int, columns: int) -> np.ndarray:
     inside = np.zeros(count, np.float32)
     inside[regions()[name]] = 1.0
     return to_tile(inside, rows, columns)
-
-
-def tile_rows_columns(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where texel centres are on the vertex grid: (rows,) rows and (columns,) columns of it."""
-    u, v = texel_uv(rows, columns)
-    return (1 - v) * ROWS, u * COLUMNS
 
 
 def surface_normals(mesh: Mesh, height_mm: np.ndarray) -> np.ndarray:

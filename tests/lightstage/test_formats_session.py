@@ -5,8 +5,6 @@ import shutil
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.files import sha256_file, write_bytes
@@ -19,7 +17,6 @@ from lightstage.formats.session import (
     missing_frames,
     save_session,
     session_id,
-    state_hash,
 )
 from lightstage.patterns import pattern_levels
 from lightstage.rig import save_rig
@@ -164,14 +161,6 @@ def test_a_folder_without_session_or_rig_is_refused(root):
     shutil.rmtree(root)
     with pytest.raises(FormatError, match="found no such folder, expected a session folder"):
         load_session(root)
-
-
-@given(st.lists(st.integers(0, 65535), min_size=1, max_size=30))
-def test_a_states_hash_is_that_of_its_16_bit_counts(counts):
-    import hashlib
-
-    expected = hashlib.sha256(b"".join(c.to_bytes(2, "little") for c in counts)).hexdigest()
-    assert state_hash(np.array(counts) / 65535) == expected
 
 
 def test_ids_differ_by_subject_expression_and_time():
