@@ -52,8 +52,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Slow files are marked; the longest test goes before the simulator's, what is quick last.
 
     Most of what the longest one runs is compiled by then, and the other workers are left enough to
-    do beside it. Workers take what is left from each other by halves: where that happens most often,
-    at the end, no test is long and none shares what takes long to make with those beside it.
+    do beside it. Workers take what is left from each other by halves: where that happens most
+    often, at the end, no test is long and none shares what takes long to make with those beside it.
     """
     slow = slow_files()
     for item in items:

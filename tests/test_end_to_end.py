@@ -34,12 +34,12 @@ PATTERNS = ("full", "x+", "x-", "y+", "y-", "z+", "z-")
 
 
 def in_this_process(command: Sequence[str]) -> Measured:
-    """Stands for run_measured: most steps take longer to import their modules than to run.
+    """Stands for run_measured: steps of processing import and compile nothing that is there.
 
-    What drives the stage, and the report, stay processes, as `make demo` has all steps.
+    All others stay processes, as `make demo` has all steps.
     """
     program, *words = command[2:]
-    if words[0] == "session" or program in ("lightstage", "demo.report"):
+    if program != "processing":
         return run_measured(command)
     begun = time.perf_counter()
     with warnings.catch_warnings():

@@ -31,7 +31,8 @@ from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
 from sim.devices.photographer import Photographer
 from sim.light.world import World
-from tests.sim.conftest import ball_subject, one_person
+from sim.people.subjects import load_subject
+from tests.sim.conftest import ball_subject
 
 BINARY = SEQUENCES["binary"]
 COLOUR = "calibration/colour.json"
@@ -195,7 +196,7 @@ def test_albedo_is_the_balls_own(world, plain):
 def test_a_persons_albedo_is_the_same_by_either_drive(tmp_path):
     """Through the cameras' mosaics and noise, with cast shadows."""
     rig = default_rig().scaled(0.03)
-    person = one_person()
+    person = load_subject("anna", 3, None, 192)
     world = World(person, dataclasses.replace(rig, cameras=rig.cameras[:1]))
     shape = coarser(Mesh(person.mesh.vertices, person.mesh.triangles()), 12_000)
     drives: tuple[Drive, Drive] = ("on-off", "solid-angle")

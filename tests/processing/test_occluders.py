@@ -115,7 +115,7 @@ def test_a_grey_collar_is_found_and_is_no_part_of_the_skins_mesh(
     session = photographed(dressed(person, clothes, (0.2, 0.2, 0.2)), small_rig, tmp_path / "s")
     out = tmp_path / "out"
     config = dataclasses.replace(
-        PipelineConfig(), reconstruct=ReconstructConfig(splits=0, look_again=False, cell_mm=2.4)
+        PipelineConfig(), reconstruct=ReconstructConfig(splits=0, look_again=False)
     )
     report = run(session, out, default_template_path(), config, until="reconstruct")
     faces = report["stages"]["reconstruct"]["occluder_faces"]
