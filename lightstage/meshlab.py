@@ -106,11 +106,13 @@ def cleaned(mesh: Mesh, name: str) -> Cleaned:
         removed[some] += len(kept[0]) - after.vertex_number()
         removed[others] += gone
     found = work.current_mesh()
+    if not found.face_number():  # no triangle has an area: the caller refuses it in its own words
+        return Cleaned(Mesh(vertices, triangles), {}, "")
     vertices, triangles = found.vertex_matrix(), found.face_matrix()
     over = _turned_over(work, triangles)
     removed["triangles_turned_over"] = int(over.sum())
     triangles = np.where(over[:, None], triangles[:, ::-1], triangles)
-    counts = {each: count for each, count in removed.items() if count}
+    counts = {each: count for each, count in removed.items() if each and count}
     what = ", ".join(f"{each.replace('_', ' ')} {count}" for each, count in counts.items())
     return Cleaned(
         Mesh(vertices, np.ascontiguousarray(triangles, np.int32)),

@@ -111,6 +111,13 @@ def test_eyes_stay_and_a_mesh_of_crumbs_alone_stays_whole() -> None:
         assert found.removed == {}
 
 
+def test_a_mesh_without_any_area_comes_back_as_it_was() -> None:
+    flat = Mesh(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]]), np.array([[0, 1, 2]], np.int32))
+    found = meshlab.cleaned(flat, "scan.ply")
+    np.testing.assert_array_equal(found.mesh.faces, flat.faces)
+    assert found.removed == {}
+
+
 def test_a_part_that_faces_inward_as_a_whole_is_not_turned() -> None:
     """Which way is out is found by the cameras, not here."""
     inward = Mesh(HEAD.vertices, np.ascontiguousarray(HEAD.faces[:, ::-1]))
