@@ -2,23 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learning.checkpoint import load_whole_face, shipped_weights
-from learning.maps import load_head
-from learning.photo.config import FitConfig
-from learning.photo.fit import Photograph, Places, fit_head
 from learning.photo.several import View, join
-from learning.relight import lit_texture, render_head, shadows_of
-from lightstage.formats.environment import LightSet
-from lightstage.formats.mesh import read_mesh
-from lightstage.formats.processed import ProcessedFolder
-from lightstage.formats.template import Template
-from tests.learning.photo.scene import KEY, camera_at, on
 
 ROWS, COLUMNS = 96, 64
 SIZE = (ROWS, COLUMNS)
@@ -139,32 +127,3 @@ def test_any_photographs_give_finite_texels_that_are_not_negative(
     assert found.source.max() < count
     assert (found.facing >= 0).all()
     assert (found.facing <= 1 + 1e-5).all()
-
-
-def test_a_fit_takes_the_far_side_of_a_face_from_a_second_photograph_in_another_light(
-    strangers: list[Path], template: Template, places: Places
-) -> None:
-    person = ProcessedFolder(strangers[0])
-    mesh = read_mesh(person.registered_mesh)
-    head = load_head(person.root / "atlas", mesh, template)
-    other = LightSet("other", KEY.position_mm * [-1, 1, 1], 0.6 * KEY.rgb, 1.5 * KEY.ambient_rgb)
-    shadows = {light.name: shadows_of(head, light) for light in (KEY, other)}
-    photographs = []
-    for yaw, light in ((25.0, KEY), (-25.0, other)):
-        camera = camera_at(yaw)
-        rgb, _ = render_head(head, light, camera, 0.02, seen=shadows[light.name])
-        marks, _ = camera.project(on(places, mesh.vertices))
-        photographs.append(Photograph(f"{yaw:g}", rgb, marks, camera.fx_px))
-    config = FitConfig(rows=192, rounds=1, refine_seconds=60.0)
-    network, _ = load_whole_face(shipped_weights())
-    found = fit_head(photographs, template, places, network, config)
-    first, second = found.source == 0, found.source == 1
-    assert second.sum() > 0.25 * first.sum()
-    assert ((found.source >= 0) == found.seen).all()
-    true = lit_texture(head, KEY, camera_at(25.0).centre_mm, None, shadows["key"])
-    rows = len(true) // len(found.texture)
-    true = true[::rows, ::rows]
-    off = np.abs(np.log((found.texture + 0.01) / (true + 0.01))).mean(axis=2)
-    assert np.median(off[first]) < 0.12
-    # In its own light it would be .5 off and more.
-    assert np.median(off[second]) < 0.3
