@@ -34,7 +34,7 @@ PATTERNS = ("full", "x+", "x-", "y+", "y-", "z+", "z-")
 
 
 def in_this_process(command: Sequence[str]) -> Measured:
-    """Stands for run_measured: steps of processing import and compile nothing that is there.
+    """Stands for run_measured: the steps of processing need not import their modules again.
 
     All others stay processes, as `make demo` has all steps.
     """
