@@ -56,7 +56,7 @@ $(READY): requirements.lock requirements-faces.txt pyproject.toml scripts/system
 	$(INSTALL) --requirement requirements.lock
 	$(INSTALL) --no-deps --require-hashes --requirement requirements-faces.txt
 	$(INSTALL) --no-deps --editable .
-	@echo "Trying it on a tiny capture, which compiles the numeric kernels for good: two minutes."
+	@echo "Trying it on a tiny capture, which compiles the numeric kernels for good: five minutes."
 	@mkdir -p build
 	@$(BIN)/python -m demo.run --tiny --out build/trial >build/trial.log 2>&1 || \
 	  { tail -n 40 build/trial.log; echo "The trial failed; build/trial.log has all of its output." >&2; exit 2; }
