@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from lightstage.formats.values import LINE, parse_json
 from sim.errors import SimError
 
 QUIET = [
@@ -169,7 +170,7 @@ class Browser:
                 raise BrowserError("the browser is gone")
             self._pending += piece
         raw, self._pending = self._pending.split(b"\0", 1)
-        message: dict[str, Any] = json.loads(raw)
+        message: dict[str, Any] = parse_json(raw, "the browser", LINE)
         return message
 
     def _notice(self, message: dict[str, Any]) -> None:

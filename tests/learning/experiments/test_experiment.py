@@ -152,7 +152,7 @@ def test_a_deadline_and_a_stop_file_keep_a_run_from_beginning(
 def test_a_seed_that_diverged_is_counted_and_shown_and_other_errors_are_not_taken_for_one(
     store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def diverging(_: object, out: Path, *__: object) -> None:
+    def diverging(_: object, out: Path, *__: object, **___: object) -> None:
         raise TrainingError(out, field="step 3", found="losses that are not finite")
 
     monkeypatch.setattr(work, "train", diverging)
@@ -162,7 +162,7 @@ def test_a_seed_that_diverged_is_counted_and_shown_and_other_errors_are_not_take
     text = (out / "report.md").read_text()
     assert "1 of 1 seed of single network diverged" in text
 
-    def failing(_: object, where: Path, *__: object) -> None:
+    def failing(_: object, where: Path, *__: object, **___: object) -> None:
         raise TrainingError(where, field="patches", found="none")
 
     monkeypatch.setattr(work, "train", failing)

@@ -140,7 +140,7 @@ def test_an_encoding_that_the_bytes_contradict_is_found(session):
 
 def test_an_interrupted_capture_is_distinguished_from_no_session(session, tmp_path):
     (session / "session.json").unlink()
-    with pytest.raises(FormatError, match="interrupted: lightstage capture --resume"):
+    with pytest.raises(FormatError, match=r"interrupted\.\n.*\n  To resume: lightstage capture"):
         check_session(session)
     with pytest.raises(FormatError, match="found no such folder, expected a session folder"):
         check_session(tmp_path / "none")

@@ -102,7 +102,7 @@ def test_a_sum_is_found_as_soon_as_all_three_are_photographed(tmp_path) -> None:
         text = "".join(json.dumps({"id": n, **each}) + "\n" for n, each in enumerate(lines[:count]))
         (root / "journal.jsonl").write_text(text)
         found = Followed(root, 10)
-        found.look()
+        found.update()
         return found
 
     assert followed(5).sum_of("full", "cam0") is None
