@@ -296,8 +296,10 @@ def fit_head(
     texels = [_Texels(each, config.rows, shape.model.face, super_resolution) for each in looked]
     together = _together(looked, texels)
     seen, first, camera = together.seen, texels[0], shape.cameras[0]
-    # The light is the first photograph's, and its own texels tell it best.
-    told = together.source == 0 if several else None
+    # The light is the first photograph's. All that this one shows goes to the network, which knows
+    # the outline of what one photograph shows: without the texels that others show better, the
+    # tone was off.
+    told = together.first if several else None
     inferred = first.inferred(
         network, together.texture, seen, config.refine_seconds, camera, mesostructure, told
     )

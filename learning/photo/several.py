@@ -76,12 +76,14 @@ class Joined:
         seen: (rows, columns) bool, in some photograph.
         facing: (rows, columns) float32, 0..1, cosine to the camera of the photographs that show it.
         source: (rows, columns) int16, which photograph shows it most, from 0; -1 for none.
+        first: (rows, columns) bool, what the first photograph shows.
     """
 
     texture: np.ndarray
     seen: np.ndarray
     facing: np.ndarray
     source: np.ndarray
+    first: np.ndarray
 
 
 def join(views: list[View]) -> Joined:
@@ -125,6 +127,7 @@ def join(views: list[View]) -> Joined:
         seen,
         np.asarray(facing, np.float32),
         np.where(seen, most, -1).astype(np.int16),
+        first.seen,
     )
 
 
