@@ -35,7 +35,8 @@ from learning.evaluation.measures import normal_measures
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
-from learning.photo.fit import FittedHead, Photograph, Places, fit_head
+from learning.photo.fit import FittedHead, fit_head
+from learning.photo.shape_fit import Photograph, Places
 from learning.render.uv import rasterise
 from learning.upscale.network import Rcan
 from learning.whole.detail import enlarged

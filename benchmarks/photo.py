@@ -30,8 +30,9 @@ from benchmarks.photo_texture import YAWS_DEG as YAWS
 from benchmarks.record import record, table
 from learning.checkpoint import load_whole_face, shipped_weights
 from learning.photo.config import FitConfig
-from learning.photo.fit import FittedHead, Photograph, Places, fit_head, fit_shape
+from learning.photo.fit import FittedHead, fit_head
 from learning.photo.model import NOSE_TIP, shape_model
+from learning.photo.shape_fit import Photograph, Places, fit_shape
 from learning.render.uv import UvRaster, rasterise
 from learning.render.view import render_view
 from lightstage.faces import detect_faces

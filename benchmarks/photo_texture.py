@@ -16,7 +16,8 @@ from benchmarks.networks_people import Head
 from benchmarks.networks_scores import db, squared
 from learning.checkpoint import load_whole_face, shipped_weights
 from learning.photo.config import FitConfig
-from learning.photo.fit import FittedHead, Photograph, Places, fit_head
+from learning.photo.fit import FittedHead, fit_head
+from learning.photo.shape_fit import Photograph, Places
 from learning.whole.gaps import continued
 from lightstage.formats.template import Template
 

@@ -31,6 +31,7 @@ from learning.networks.generator import Generator, GeneratorConfig
 from learning.networks.whole_face import WholeFaceConfig, WholeFaceNetwork
 from learning.upscale.network import Rcan, RcanConfig
 from lightstage.counting import counted
+from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config
 from lightstage.formats.files import atomic_path, leftovers, read_json, sha256_file, write_json
 from lightstage.formats.paths import check_name, path_inside
@@ -245,6 +246,24 @@ def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
 def load_whole_face(path: Path) -> tuple[WholeFaceNetwork, Checkpoint]:
     """The whole-face network of a checkpoint; otherwise as `load_network`."""
     return load_network(path, "whole_face", "network", WholeFaceConfig, WholeFaceNetwork)
+
+
+def whole_face_of(checkpoint: Path | None) -> WholeFaceNetwork:
+    """The network of the option --checkpoint; the shipped one where it is absent.
+
+    Raises:
+        ConfigError: a network of another family.
+        CheckpointError: see `load_network`.
+    """
+    about = read_checkpoint(checkpoint or shipped_weights())
+    if about.family != "whole_face":
+        raise ConfigError(
+            "--checkpoint",
+            found=f"a network of the family {about.family!r}",
+            expected="a whole-face network",
+            hint="Leave --checkpoint out for the weights that are shipped.",
+        )
+    return load_whole_face(about.folder)[0]
 
 
 def load_super_resolution(path: Path) -> tuple[Rcan, Checkpoint]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from learning.checkpoint import load_whole_face, read_checkpoint, shipped_weights
+from learning.checkpoint import whole_face_of
 from learning.domain.closed import find_light
 from learning.domain.config import DomainConfig
 from learning.domain.descent import descend
@@ -20,11 +20,9 @@ from learning.networks.whole_face import WholeFaceNetwork
 from learning.render.environments import TargetLight
 from learning.whole.refine import CAMERA_MM
 from lightstage.commands import ProgressCallback
-from lightstage.errors import ConfigError, FormatError
 from lightstage.formats.config import make_config, read_toml
-from lightstage.formats.environment import SCHEMA, LightSet, read_lights
+from lightstage.formats.environment import LightSet, read_lights, write_lights
 from lightstage.formats.exr import read_exr
-from lightstage.formats.files import read_json, write_json
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import read_map
 
@@ -36,7 +34,7 @@ FEW = 4
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """Where a texture is, its mesh, and where it says something."""
+    """The files of a texture: itself, its mesh, and its confidence, 0 where it was filled."""
 
     texture: Path
     mesh: Path
@@ -70,15 +68,7 @@ def domain_light(
     """
     began = time.monotonic()
     settings = _config(config, seconds, steps)
-    about = read_checkpoint(checkpoint or shipped_weights())
-    if about.family != "whole_face":
-        raise ConfigError(
-            "--checkpoint",
-            found=f"a network of the family {about.family!r}",
-            expected="a whole-face network",
-            hint="Leave --checkpoint out for the weights that are shipped.",
-        )
-    network, _ = load_whole_face(about.folder)
+    network = whole_face_of(checkpoint)
     found = places_of(textures, mesh)
     chosen = [found[i] for i in _evenly(len(found), settings.textures)]
     whole = len(chosen) + settings.rounds + settings.steps
@@ -114,7 +104,7 @@ def domain_light(
         settings.shadow_steps,
         lambda done, _: progress(len(chosen) + settings.rounds + done, whole),
     )
-    write_domain_light(refined.light, refined.camera_mm, out)
+    write_lights(dataclasses.replace(refined.light, camera_mm=refined.camera_mm), out)
     progress(whole, whole)
     notes = []
     if len(samples) < FEW:
@@ -138,35 +128,15 @@ def domain_light(
     }
 
 
-def write_domain_light(light: LightSet, camera_mm: np.ndarray, path: Path) -> Path:
-    """Write a light set with the place of its camera, atomically; returns `path`."""
-    lamps = zip(light.position_mm.tolist(), light.rgb.tolist(), strict=True)
-    return write_json(
-        path,
-        {
-            "schema": SCHEMA,
-            "name": light.name,
-            "lights": [{"position_mm": place, "rgb": rgb} for place, rgb in lamps],
-            "ambient_rgb": light.ambient_rgb.tolist(),
-            "camera_mm": camera_mm.tolist(),
-        },
-    )
-
-
 def read_target_light(path: Path) -> TargetLight:
     """Read a light set as the target of a training; its camera is in front where it has none.
 
     Raises:
-        FormatError: see `read_lights`; a camera that is no place.
+        FormatError: see `read_lights`.
         ConfigError: no lamp, or numbers that no training takes.
     """
     lights = read_lights(path)
-    camera = read_json(path, SCHEMA).get("camera_mm", CAMERA_MM.tolist())
-    plain = isinstance(camera, list) and len(camera) == 3
-    if not plain or not all(type(c) in (int, float) and np.isfinite(c) for c in camera):
-        raise FormatError(
-            path, field="camera_mm", found=repr(camera)[:60], expected="three numbers, mm"
-        )
+    camera = CAMERA_MM if lights.camera_mm is None else lights.camera_mm
 
     def three(row: Any) -> tuple[float, float, float]:
         return float(row[0]), float(row[1]), float(row[2])
@@ -218,8 +188,8 @@ def _place(texture: Path, mesh: Path | None) -> Place:
             expected="the mesh whose UV the texture has",
             hint="Name one mesh for all textures by --mesh.",
         )
-    told = confidence if mesh is None and confidence.is_file() else None
-    return Place(texture, own if mesh is None else mesh, told)
+    beside = confidence if mesh is None and confidence.is_file() else None
+    return Place(texture, own if mesh is None else mesh, beside)
 
 
 def _read(place: Place, network: WholeFaceNetwork) -> Sample:
@@ -231,14 +201,14 @@ def _read(place: Place, network: WholeFaceNetwork) -> Sample:
     if shape.uvs is None:
         raise MapsError(place.mesh, field="uv", found="none", expected="the texture's coordinates")
     if place.confidence is not None:
-        told = read_map(place.confidence, "confidence")
-        if told.shape[:2] != texture.shape[:2]:
+        known = read_map(place.confidence, "confidence")
+        if known.shape[:2] != texture.shape[:2]:
             raise MapsError(
                 place.confidence,
-                found=f"{told.shape[0]} x {told.shape[1]} texels",
+                found=f"{known.shape[0]} x {known.shape[1]} texels",
                 expected=f"{texture.shape[0]} x {texture.shape[1]}, as {place.texture.name}",
             )
-        texture = texture * (told.reshape(*texture.shape[:2], 1) > 0)
+        texture = texture * (known.reshape(*texture.shape[:2], 1) > 0)
     return sample_of(network, texture, shape, (place.texture, place.mesh))
 
 

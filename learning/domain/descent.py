@@ -1,6 +1,6 @@
 """A domain's light refined by descent through the renderer, with the network's reflectance.
 
-All textures are rendered with the reflectance that a first network says, under one environment,
+All textures are rendered with the reflectance that a first network gives, under one environment,
 whose lamps, ambient light and camera follow the slope of the mean absolute difference from the
 textures (L1) [Lattas2021]. What one texture gets wrong, such as its tone, has a bounded part in
 that slope.
@@ -15,9 +15,10 @@ import torch
 from torch import Tensor
 
 from learning.domain.sample import Sample
-from learning.maps import SHININESS, skin_maps_from
+from learning.maps import SHININESS, skin_maps_from, to_batch
 from learning.render.environments import Environment
-from learning.render.shading import SkinMaps, shade
+from learning.render.shading import shade
+from learning.render.skin import SkinMaps, joined_skins
 from learning.whole.light import (
     AMBIENT_SHINE,
     FARTHEST_MM,
@@ -105,15 +106,10 @@ class _Scene:
             around[sample.raster.covered] = surface.openness()
             openness.append(around)
             skins.append(_skin(sample, around))
-        fields = [f.name for f in dataclasses.fields(SkinMaps) if f.name != "texel_mm"]
-        parts = {name: [getattr(skin, name) for skin in skins] for name in fields}
-        self._skin = SkinMaps(
-            **{n: torch.cat(each) for n, each in parts.items() if each[0] is not None},
-            texel_mm=float(np.mean([skin.texel_mm for skin in skins])),
-        )
+        self._skin = joined_skins(skins, float(np.mean([skin.texel_mm for skin in skins])))
         self._open = torch.from_numpy(np.stack(openness))[:, None]
-        self._texture = torch.cat([_batch(s.answer.texture) for s in samples])
-        weight = [s.answer.seen * s.answer.trust**2 * s.raster.covered for s in samples]
+        self._texture = torch.cat([to_batch(s.answer.texture) for s in samples])
+        weight = [s.weights for s in samples]
         self._weight = torch.from_numpy(np.stack(weight).astype(np.float32))[:, None]
         self._total = self._weight.sum().clamp_min(1e-6) * 3
         self._covered = [s.raster.covered for s in samples]
@@ -137,7 +133,7 @@ class _Scene:
 
 
 def _skin(sample: Sample, openness: np.ndarray) -> SkinMaps:
-    """What the network says of a texture, as the renderer takes it."""
+    """The network's answer to a texture, as the renderer takes it."""
     answer, raster = sample.answer, sample.raster
     ones = np.ones(raster.covered.shape, np.float32)
     normal = raster.normals(sample.mesh)
@@ -150,11 +146,6 @@ def _skin(sample: Sample, openness: np.ndarray) -> SkinMaps:
         "ambient_occlusion": openness,
     }
     return skin_maps_from(maps, raster.covered, SHININESS * ones, 0 * ones)
-
-
-def _batch(image: np.ndarray) -> Tensor:
-    """(h, w, 3) as (1, 3, h, w)."""
-    return torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1), np.float32))[None]
 
 
 class _Unknowns:

@@ -1,4 +1,4 @@
-"""One texture of a domain at the network's size, with what the network says of its skin."""
+"""One texture of a domain at the network's size, with the network's answer to it."""
 
 from __future__ import annotations
 
@@ -32,10 +32,15 @@ class Sample:
     raster: UvRaster
 
     @functools.cached_property
+    def weights(self) -> np.ndarray:
+        """(h, w) how much each texel counts; 0 beside the surface."""
+        found: np.ndarray = self.answer.seen * self.answer.trust**2 * self.raster.covered
+        return found
+
+    @functools.cached_property
     def weight(self) -> np.ndarray:
-        """(n,) how much each texel of the surface counts."""
-        here = self.raster.covered
-        found: np.ndarray = self.answer.seen[here] * self.answer.trust[here] ** 2
+        """(n,) the weights of the surface's texels."""
+        found: np.ndarray = self.weights[self.raster.covered]
         return found
 
     @functools.cached_property
@@ -50,7 +55,7 @@ def sample_of(
     mesh: Mesh,
     named: tuple[str | Path, str | Path],
 ) -> Sample:
-    """Ask the network of a texture, black where it says nothing.
+    """Ask the network of a texture, black where nothing is known.
 
     Raises:
         MapsError: see `infer_whole_face`.

@@ -12,21 +12,20 @@ import numpy as np
 from learning.checkpoint import (
     load_mesostructure,
     load_super_resolution,
-    load_whole_face,
-    read_checkpoint,
     shipped_mesostructure,
     shipped_super_resolution,
-    shipped_weights,
+    whole_face_of,
 )
 from learning.errors import MapsError
 from learning.limits import require_within
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
-from learning.photo.fit import FittedHead, Photograph, Places, fit_head
+from learning.photo.fit import FittedHead, fit_head
 from learning.photo.grey import coloured, has_no_colour
 from learning.photo.page import write_page
 from learning.photo.picture import read_photograph
+from learning.photo.shape_fit import Photograph, Places
 from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
@@ -86,17 +85,9 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
     """
     began = time.monotonic()
     config = _config(request)
-    about = read_checkpoint(request.checkpoint or shipped_weights())
-    if about.family != "whole_face":
-        raise ConfigError(
-            "--checkpoint",
-            found=f"a network of the family {about.family!r}",
-            expected="a whole-face network",
-            hint="Leave --checkpoint out for the weights that are shipped.",
-        )
+    network = whole_face_of(request.checkpoint)
     template = load_template(request.template)
     photographs, places, notes = read_all(request, template)
-    network, _ = load_whole_face(about.folder)
     photographs = [_with_colour(each, network, notes) for each in photographs]
     meso, about_meso = load_mesostructure(shipped_mesostructure())
     fitted = fit_head(

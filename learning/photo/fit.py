@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import cv2
 import numpy as np
 
 from learning.errors import MapsError
@@ -22,10 +21,9 @@ from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
 from learning.photo.enlarge import Enlarged, enlarged, texels_a_pixel
 from learning.photo.foreground import foreground
-from learning.photo.landmark_fit import LandmarkFit, Problem, Sighting, camera_of
-from learning.photo.model import ShapeModel, shape_model
-from learning.photo.pixel_fit import PixelFit
 from learning.photo.several import Joined, View, join
+from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape
+from learning.photo.skin_mask import features, no_skin
 from learning.photo.unwrap import Unwrapped, unwrap
 from learning.relight import lit_texture, shadows_of
 from learning.render.uv import UvRaster, rasterise
@@ -35,7 +33,7 @@ from learning.whole.gaps import continued
 from learning.whole.infer import infer_whole_face
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.environment import LightSet
-from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.mesh import Mesh
 from lightstage.formats.template import Template
 from lightstage.rig import Camera
 
@@ -43,20 +41,6 @@ COARSE_ROWS = 384
 """Of the texture on which the mask of the skin is found."""
 FIRST_SECONDS = 6.0
 """For the light of the coarse texture."""
-NOT_SKIN = 0.9
-"""Difference in natural logarithms from the mean person's pattern, over some millimetres, from
-which a place shows no skin: hair, glasses, a hand's shadow. Freckles and lips stay below .5."""
-SPREAD = 1 / 64
-"""Of such a place around it, of the texture's rows."""
-FEATURES = ("eyes", "lips")
-"""Regions of a template that may differ from the mean person as they please."""
-BROWS = slice(17, 27)
-"""In iBUG's order."""
-BROW_MM = 14.0
-STEADY_MM = 3.0
-"""Spread at which a landmark counts half."""
-NOT_SKIN_TINT = 0.35
-"""The same of red or blue over green: grey cloth and walls."""
 LEAST_SEEN = 0.05
 """Share of the face's texels that a photograph must show."""
 LARGEST_MISFIT = 3.0
@@ -64,60 +48,6 @@ LARGEST_MISFIT = 3.0
 them: hard lights leave 1.8 to 2.4 and are found within 7 to 17 degrees."""
 DARK = 0.01
 """Added to both before a photograph is compared with its model."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Photograph:
-    """A photograph and the landmarks on it.
-
-    Attributes:
-        name: for messages.
-        rgb_linear: (h, w, 3) float32, 1 = the picture's white.
-        landmarks_px: (p, 2), NaN where hidden.
-        focal_px: where the file states it.
-    """
-
-    name: str
-    rgb_linear: np.ndarray
-    landmarks_px: np.ndarray
-    focal_px: float | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class Places:
-    """Places of landmarks on a template.
-
-    Attributes:
-        triangles: (p, 3) vertex indices.
-        weights: (p, 3) of these corners.
-        spread_mm: (p,) how far apart the views of a head found them; zeros where it is not
-            known.
-    """
-
-    triangles: np.ndarray
-    weights: np.ndarray
-    spread_mm: np.ndarray
-
-
-@dataclasses.dataclass(frozen=True)
-class Shape:
-    """A person's shape and how each photograph was taken.
-
-    Attributes:
-        model: that was fitted.
-        landmarks: the fit's answer.
-        cameras: of the photographs, world = the head frame.
-        meshes: of the photographs: the person with each one's expression, head frame.
-        neutral: the person without an expression, head frame.
-        deviation_mm: (n,) standard deviation of each vertex by what the photographs do not show.
-    """
-
-    model: ShapeModel
-    landmarks: LandmarkFit
-    cameras: tuple[Camera, ...]
-    meshes: tuple[Mesh, ...]
-    neutral: Mesh
-    deviation_mm: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,100 +79,6 @@ class FittedHead:
     misfit: float
     masked: float
     notes: tuple[str, ...]
-
-
-def fit_shape(
-    photographs: list[Photograph],
-    template: Template,
-    places: Places,
-    config: FitConfig,
-    model: ShapeModel | None = None,
-    network: WholeFaceNetwork | None = None,
-) -> Shape:
-    """Find the shape of the person, the cameras and the expressions.
-
-    Args:
-        photographs: of one person.
-        template: whose topology the head has.
-        places: of the landmarks on it.
-        config: what is known before.
-        model: of the template, where it was made already.
-        network: knows the albedo of the mean person and how others differ; without it, or without
-            rounds for pixels in the configuration, landmarks alone give the shape.
-
-    Raises:
-        MapsError: a photograph with too few landmarks, or none that agree with a face.
-    """
-    model = shape_model(template, config) if model is None else model
-    there = model.at(places.triangles, places.weights)
-    normals = vertex_normals(model.mean, template.mesh.triangles())
-    facing = np.einsum("pck,pc->pk", normals[places.triangles], places.weights)
-    sightings = []
-    for photograph in photographs:
-        height, width = photograph.rgb_linear.shape[:2]
-        known = np.isfinite(photograph.landmarks_px).all(axis=1).sum()
-        if known < 8:
-            raise MapsError(
-                photograph.name,
-                field="landmarks",
-                found=f"{known} of {len(photograph.landmarks_px)}",
-                expected="8 or more",
-            )
-        sightings.append(Sighting(photograph.landmarks_px, width, height, photograph.focal_px))
-    trust = 1 / (1 + (places.spread_mm / STEADY_MM) ** 2)
-    problem = Problem(there, sightings, config, facing, trust)
-    at, covariance = problem.solved()
-    found = problem.answer(at, covariance)
-    for photograph, taken in zip(photographs, found.photographs, strict=True):
-        if not (taken.used > 0.25).sum() >= 8:
-            raise MapsError(
-                photograph.name,
-                field="landmarks",
-                found="landmarks that fit no head",
-                expected="those of one face, in the scheme's order",
-            )
-    if network is not None and config.pixel_rounds:
-        pictures = [photograph.rgb_linear for photograph in photographs]
-        search = PixelFit(problem, model, template, network, pictures, config)
-        at, covariance = search.run(at)
-        found = problem.answer(at, covariance)
-    cameras, meshes = [], []
-    for index, (photograph, taken) in enumerate(zip(photographs, found.photographs, strict=True)):
-        height, width = photograph.rgb_linear.shape[:2]
-        cameras.append(camera_of(at, index, width, height, photograph.name))
-        meshes.append(template.mesh.with_vertices(model.vertices(found.identity, taken.expression)))
-    neutral = model.vertices(found.identity, np.zeros(len(model.expression)))
-    shapes = without_similarity(model.identity, model.mean, model.face)
-    deviation = np.linalg.norm(found.deviation_mm(shapes), axis=1)
-    return Shape(
-        model,
-        found,
-        tuple(cameras),
-        tuple(meshes),
-        template.mesh.with_vertices(neutral),
-        deviation,
-    )
-
-
-def without_similarity(modes: np.ndarray, mean: np.ndarray, face: np.ndarray) -> np.ndarray:
-    """(k, n, 3) modes without the part that moves, turns or scales a face as a whole.
-
-    Args:
-        modes: (k, n, 3).
-        mean: (n, 3) the shape that they change.
-        face: (n,) bool, where the part is measured.
-    """
-    about = mean - mean[face].mean(axis=0)
-    x, y, z = about.T
-    zero = np.zeros_like(x)
-    turns = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    moves = [np.broadcast_to(axis[:, None], (3, len(mean))) for axis in np.eye(3)]
-    basis = np.stack([*moves, *turns, about.T]).transpose(0, 2, 1)  # (7, n, 3)
-    flat = basis[:, face].reshape(len(basis), -1)
-    if not face.any():
-        return modes
-    share = np.linalg.lstsq(flat.T, modes[:, face].reshape(len(modes), -1).T, rcond=None)[0]
-    return modes - np.tensordot(share.T, basis, 1)
 
 
 def fit_head(
@@ -299,9 +135,9 @@ def fit_head(
     # The light is the first photograph's. All that this one shows goes to the network, which knows
     # the outline of what one photograph shows: without the texels that others show better, the
     # tone was off.
-    told = together.first if several else None
+    network_sees = together.first if several else None
     inferred = first.inferred(
-        network, together.texture, seen, config.refine_seconds, camera, mesostructure, told
+        network, together.texture, seen, config.refine_seconds, camera, mesostructure, network_sees
     )
     progress(steps - 1, steps)
     notes += inferred.notes
@@ -464,9 +300,9 @@ class _Texels:
         seconds: float,
         camera: Camera,
         mesostructure: TrainedMesostructure | None,
-        told: np.ndarray | None = None,
+        network_sees: np.ndarray | None = None,
     ) -> Inferred:
-        """Skin and light of the texels that are shown; those that are told have the light."""
+        """Skin and light of the texels that are shown; see `infer_whole_face`."""
         return infer_whole_face(
             network,
             np.where(shown[..., None], texture, 0).astype(np.float32),
@@ -477,53 +313,8 @@ class _Texels:
             mesostructure=mesostructure,
             camera_mm=camera.centre_mm,
             largest_misfit=LARGEST_MISFIT,
-            told=told,
+            network_sees=network_sees,
         )
-
-
-def features(template: Template, raster: UvRaster) -> np.ndarray:
-    """(rows, columns) bool, eyes, lips and brows of a template: they differ between people."""
-    vertices = template.mesh.vertices
-    chosen = np.zeros(len(vertices), bool)
-    for name in FEATURES:
-        chosen[template.regions.get(name, np.zeros(0, int))] = True
-    brows = vertices[template.landmarks[BROWS]]
-    for place in brows:
-        chosen |= np.linalg.norm(vertices - place, axis=1) < BROW_MM
-    return np.asarray(raster.interpolate(chosen[:, None].astype(float))[..., 0] > 0)
-
-
-def no_skin(
-    albedo: np.ndarray, network: WholeFaceNetwork, seen: np.ndarray, keep: np.ndarray
-) -> np.ndarray:
-    """(rows, columns) bool, places whose albedo is far from what skin has there.
-
-    Args:
-        albedo: (rows, columns, 3) found.
-        network: with the mean person's pattern.
-        seen: (rows, columns) bool.
-        keep: (rows, columns) bool, never taken for something else.
-    """
-    rows, columns = seen.shape
-    if not seen.any():
-        return seen
-    mean = network.mean_log_albedo[0].permute(1, 2, 0).numpy()
-    mean = cv2.resize(mean, (columns, rows), interpolation=cv2.INTER_LINEAR)
-    beside = np.log(np.maximum(albedo, 1e-3)) - mean
-    green = beside[..., 1]
-    parts = [(beside.mean(axis=2), NOT_SKIN)]
-    parts += [(beside[..., c] - green, NOT_SKIN_TINT) for c in (0, 2)]
-    weight = seen.astype(np.float32)
-    sigma = rows / 192
-    around = np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3)
-    far = np.zeros_like(seen)
-    for part, most in parts:
-        off = np.where(seen, part - np.median(part[seen]), 0).astype(np.float32)
-        far |= np.abs(cv2.GaussianBlur(off, (0, 0), sigma) / around) > most
-    far &= seen & ~keep
-    reach = max(1, round(SPREAD * rows))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    return np.asarray((cv2.dilate(far.astype(np.uint8), disc) > 0) & ~keep)
 
 
 def joined(

@@ -7,7 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from learning.photo.fit import FittedHead, Photograph
+from learning.photo.fit import FittedHead
+from learning.photo.shape_fit import Photograph
 from learning.photo.unwrap import smaller
 from learning.render.view import render_view
 from lightstage.formats.environment import LightSet

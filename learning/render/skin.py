@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Literal
 
 import torch
@@ -65,6 +66,16 @@ class SkinMaps:
                     found=" x ".join(str(n) for n in value.shape),
                     expected=f"(batch, {channels}, rows, columns)",
                 )
+
+
+def joined_skins(skins: Sequence[SkinMaps], texel_mm: float) -> SkinMaps:
+    """Skins of one size as one batch, whose texels have the edge `texel_mm`."""
+    names = [f.name for f in dataclasses.fields(SkinMaps) if f.name != "texel_mm"]
+    parts = {name: [getattr(skin, name) for skin in skins] for name in names}
+    return SkinMaps(
+        **{name: torch.cat(each) for name, each in parts.items() if each[0] is not None},
+        texel_mm=texel_mm,
+    )
 
 
 CHANNELS = {

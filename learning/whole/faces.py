@@ -29,7 +29,9 @@ from learning.render.environments import (
 from learning.render.kept_shadows import KeptShadows, shadows_of_scan
 from learning.render.occlusion import DOME_MM, PositionGrid, bake_grid, openness, sharpened
 from learning.render.shading import Mode, ShadeOptions, SkinMaps, shade, unit
+from learning.render.skin import joined_skins
 from learning.render.uv import TexelSurface, texel_surface
+from learning.whole.displacement import displaced, displacement, edges_mm
 from lightstage.commands import ProgressCallback, quiet
 from processing.dataset import Store
 
@@ -37,8 +39,6 @@ FINER = 2
 """Faces are lit at so many times the network's resolution, so that edges of shadows are sharp."""
 LARGEST_ROWS = 1536
 """Rows at most at which the shares of detail are fitted: finer ones count as one band."""
-SMALLEST_AREA = 0.1
-"""Area, over that of a typical texel, below which a texel is displaced as one of this area."""
 LEAST_ALBEDO = 1e-3
 """Albedo below which a logarithm is cut off."""
 
@@ -311,13 +311,17 @@ class Faces:
             skins.append(_skin_maps(face, augment.draw(rng, self._variation)))
             facets = rng.random() < self._config.ggx_share
             modes.append("ggx" if facets else self._options.mode)
-        skin = _joined(skins, texel_mm)
+        skin = joined_skins(skins, texel_mm)
         texture = torch.empty_like(skin.diffuse_albedo)
         for mode in dict.fromkeys(modes):
             here = [index for index, own in enumerate(modes) if own == mode]
             light = moved(stack([environments[index] for index in here]), texture.device)
             seen = torch.cat([_padded(shadows[index], light.rgb.shape[1]) for index in here])
-            some = skin if len(here) == len(faces) else _joined([skins[i] for i in here], texel_mm)
+            some = (
+                skin
+                if len(here) == len(faces)
+                else joined_skins([skins[i] for i in here], texel_mm)
+            )
             with torch.no_grad(), self._clock.part(RENDERING):
                 texture[here] = shade(some, light, ShadeOptions(mode), seen).clamp_min(0)
         return LitFaces(texture, skin, environments, shadows)
@@ -336,10 +340,9 @@ class Faces:
         covered = (skin.area > 0).to(texture)
         surface = (shrink(covered, size) > 0.5).to(texture)
         if config.displaced_mm > 0:
-            texel_mm = skin.texel_mm * skin.area.clamp_min(SMALLEST_AREA).sqrt()
             shifts = [displacement(rng, config.displaced_mm) for rng in rngs]
-            moved_there = displaced(torch.cat([texture, covered], 1), torch.cat(shifts), texel_mm)
-            texture, photographed = moved_there[:, :3], shrink(moved_there[:, 3:], size) > 0.5
+            both = displaced(torch.cat([texture, covered], 1), torch.cat(shifts), edges_mm(skin))
+            texture, photographed = both[:, :3], shrink(both[:, 3:], size) > 0.5
         else:
             photographed = surface > 0
         small = shrink(texture, size)
@@ -370,39 +373,6 @@ class Faces:
             return torch.ones_like(normal[:, :1])
         toward = normal.new_tensor(direction / np.linalg.norm(direction)).view(1, 3, 1, 1)
         return ((normal * toward).sum(dim=1, keepdim=True) > reach).to(normal)
-
-
-def displacement(rng: np.random.Generator, deviation_mm: float) -> Tensor:
-    """(1, 2, rows, columns) right and down in mm, a smooth field's values at a few places.
-
-    A fit misses coarse shape more than fine: most of the variance is that of `augment.PATCHES`,
-    a third that of places half as far apart. How far a face is displaced differs from face to
-    face, so that one in place is among them.
-    """
-    rows, columns = augment.PATCHES
-    coarse = torch.from_numpy(rng.normal(size=(1, 2, rows, columns)))
-    fine = torch.from_numpy(rng.normal(size=(1, 2, 2 * rows, 2 * columns)))
-    enlarged = functional.interpolate(coarse, fine.shape[2:], mode="bicubic", align_corners=False)
-    amount = deviation_mm * abs(float(rng.normal()))
-    return (amount * ((2 / 3) ** 0.5 * enlarged + (1 / 3) ** 0.5 * fine)).float()
-
-
-def displaced(image: Tensor, shift_mm: Tensor, texel_mm: Tensor) -> Tensor:
-    """An image each of whose texels shows what is beside its own place; zero beyond the border.
-
-    Args:
-        image: (B, c, h, w).
-        shift_mm: (B, 2, rows, columns), how far right and down of a texel its value comes from.
-        texel_mm: (B, 1, h, w), edge of each texel on the surface.
-    """
-    rows, columns = image.shape[2:]
-    shift_mm = shift_mm.to(image)
-    shift = functional.interpolate(shift_mm, (rows, columns), mode="bicubic", align_corners=False)
-    right, down = (shift / texel_mm).unbind(dim=1)
-    x = torch.arange(columns, device=image.device) + 0.5
-    y = torch.arange(rows, device=image.device) + 0.5
-    at = torch.stack([2 * (x + right) / columns - 1, 2 * (y[:, None] + down) / rows - 1], dim=3)
-    return functional.grid_sample(image, at, mode="bilinear", align_corners=False)
 
 
 def read_small(
@@ -491,15 +461,6 @@ def _skin_maps(face: Face, variation: augment.Variation) -> SkinMaps:
 def _mean_texel_mm(faces: list[Face]) -> float:
     """Edge of the mean texel of a batch, whose subsurface kernel is used for all of it."""
     return float(np.mean([face.texel_mm for face in faces]))
-
-
-def _joined(skins: list[SkinMaps], texel_mm: float) -> SkinMaps:
-    """Many skins as one batch."""
-    names = [f.name for f in dataclasses.fields(SkinMaps) if f.name != "texel_mm"]
-    return SkinMaps(
-        **{name: torch.cat([getattr(skin, name) for skin in skins]) for name in names},
-        texel_mm=texel_mm,
-    )
 
 
 def _padded(visibility: Tensor, lights: int) -> Tensor:

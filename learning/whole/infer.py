@@ -61,7 +61,7 @@ def infer_whole_face(
     mesostructure: TrainedMesostructure | None = None,
     camera_mm: np.ndarray | None = None,
     largest_misfit: float = LARGEST_MISFIT,
-    told: np.ndarray | None = None,
+    network_sees: np.ndarray | None = None,
 ) -> Inferred:
     """Infer a texture's reflectance.
 
@@ -82,8 +82,8 @@ def infer_whole_face(
             of the face where None.
         largest_misfit: of a light that is taken for the texture's; a shape that is only near
             leaves more than a true one.
-        told: (rows, columns) bool, texels that tell the light and the person's tone; all that are
-            photographed where None.
+        network_sees: (rows, columns) bool, texels that the network is shown, which decide the
+            light and the tone; all that are photographed where None.
 
     Returns:
         Maps of the texture's size in the mesh's axes; zero where no surface is. Normals are the
@@ -96,7 +96,7 @@ def infer_whole_face(
             size in mm, or in another layout than those trained on.
     """
     rows, columns = texture.shape[:2]
-    looked = look(network, texture, mesh, head_from_mesh, named, device, told)
+    looked = look(network, texture, mesh, head_from_mesh, named, device, network_sees)
     answer, head_from_mesh, notes = looked.answer, looked.head_from_mesh, list(looked.notes)
     raster, photographed = looked.raster, looked.photographed
     covered = raster.covered
@@ -173,7 +173,7 @@ def look(
     head_from_mesh: np.ndarray | None,
     named: tuple[str | Path, str | Path],
     device: torch.device = CPU,
-    told: np.ndarray | None = None,
+    network_sees: np.ndarray | None = None,
 ) -> Looked:
     """Ask a network of a texture; arguments and errors as `infer_whole_face`."""
     rows, columns = texture.shape[:2]
@@ -195,7 +195,7 @@ def look(
     low_position = _mean_over(to_batch(raster.interpolate(mesh.vertices)), to_batch(covered), shape)
     head_from_mesh, low_position = _placed(network, low_position, head_from_mesh, named[1])
     photographed = covered & (texture.max(axis=2) > UNSEEN)
-    seen = to_batch(photographed if told is None else photographed & told)
+    seen = to_batch(photographed if network_sees is None else photographed & network_sees)
     small = _mean_over(to_batch(texture), seen, shape)
     pattern = network.mean_log_albedo * (network.mean_position_mm != 0).any(dim=1, keepdim=True)
     require_upright(_image(small), _image(pattern), named[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,12 +26,15 @@ class LightSet:
         rgb: (n, 3) what a perfect white diffuser at the origin, facing the light, would read
             because of this light alone; it falls off with the square of the distance from there.
         ambient_rgb: (3,) what a white diffuser reads from everywhere.
+        camera_mm: (3,) from where textures in this light were photographed; None where it is not
+            known.
     """
 
     name: str
     position_mm: np.ndarray
     rgb: np.ndarray
     ambient_rgb: np.ndarray
+    camera_mm: np.ndarray | None = None
 
 
 def stage_lights(
@@ -86,15 +90,15 @@ def write_lights(lights: LightSet, path: Path) -> Path:
         {"position_mm": p, "rgb": c}
         for p, c in zip(lights.position_mm.tolist(), lights.rgb.tolist(), strict=True)
     ]
-    return write_json(
-        path,
-        {
-            "schema": SCHEMA,
-            "name": lights.name,
-            "lights": entries,
-            "ambient_rgb": lights.ambient_rgb.tolist(),
-        },
-    )
+    value = {
+        "schema": SCHEMA,
+        "name": lights.name,
+        "lights": entries,
+        "ambient_rgb": lights.ambient_rgb.tolist(),
+    }
+    if lights.camera_mm is not None:
+        value["camera_mm"] = lights.camera_mm.tolist()
+    return write_json(path, value)
 
 
 def read_lights(path: Path) -> LightSet:
@@ -126,4 +130,15 @@ def read_lights(path: Path) -> LightSet:
         raise FormatError(path, field="lights", found="NaN or negative, or huge", expected=expected)
     if (np.linalg.norm(lights.position_mm, axis=1) < 1.0).any():
         raise FormatError(path, field="lights", found="a light at the origin", expected="mm away")
-    return lights
+    if "camera_mm" not in value:
+        return lights
+    return dataclasses.replace(lights, camera_mm=_camera(value["camera_mm"], path))
+
+
+def _camera(value: Any, path: Path) -> np.ndarray:
+    plain = isinstance(value, list) and len(value) == 3
+    if not plain or not all(type(c) in (int, float) and abs(c) <= MOST for c in value):
+        raise FormatError(
+            path, field="camera_mm", found=repr(value)[:60], expected="three numbers, mm"
+        )
+    return np.array(value, float)

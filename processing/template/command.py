@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from lightstage.commands import (
     JsonFlag,
+    ProgressCallback,
     finish,
     make_app,
     output_file,
@@ -19,6 +21,10 @@ from lightstage.commands import (
 from lightstage.counting import counted
 from lightstage.formats.access import group_of, limited_access
 from processing.errors import ProcessingError
+
+if TYPE_CHECKING:
+    from lightstage.formats.template import Template
+    from processing.template.config import ImportConfig
 
 app = make_app("Templates people already have: import them, find faults, carry maps over.")
 
@@ -43,17 +49,15 @@ def import_ict_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """A template of ICT Face Model Light, as its users clone it."""
-    from lightstage.formats.files import require_new
-    from processing.template.build import MARKER, write_template
-    from processing.template.config import ImportConfig
     from processing.template.import_ict import import_ict
 
-    require_new(out, overwrite, MARKER)
-    config = ImportConfig()
-    with progress_bar("template import-ict") as progress:
-        template, facts = import_ict(clone, config, _unit(unit), mouth, progress)
-        write_template(template, out, config)
-    _finish_import(out, template.regions, facts, as_json)
+    _import(
+        "template import-ict",
+        lambda config, progress: import_ict(clone, config, _unit(unit), mouth, progress),
+        out,
+        overwrite,
+        as_json,
+    )
 
 
 @app.command("import-gnm")
@@ -75,17 +79,15 @@ def import_gnm_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """A template of GNM Head, with its modes."""
-    from lightstage.formats.files import require_new
-    from processing.template.build import MARKER, write_template
-    from processing.template.config import ImportConfig
     from processing.template.import_gnm import import_gnm
 
-    require_new(out, overwrite, MARKER)
-    config = ImportConfig()
-    with progress_bar("template import-gnm") as progress:
-        template, facts = import_gnm(model, landmarks, config, _unit(unit), progress)
-        write_template(template, out, config)
-    _finish_import(out, template.regions, facts, as_json)
+    _import(
+        "template import-gnm",
+        lambda config, progress: import_gnm(model, landmarks, config, _unit(unit), progress),
+        out,
+        overwrite,
+        as_json,
+    )
 
 
 @app.command("import-obj")
@@ -107,19 +109,17 @@ def import_obj_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """A template of any head mesh, with its own topology and UV."""
-    from lightstage.formats.files import require_new
-    from processing.template.build import MARKER, write_template
-    from processing.template.config import ImportConfig
     from processing.template.import_obj import import_obj
 
-    require_new(out, overwrite, MARKER)
-    config = ImportConfig()
-    with progress_bar("template import-obj") as progress:
-        template, facts = import_obj(
+    _import(
+        "template import-obj",
+        lambda config, progress: import_obj(
             mesh, landmarks, config, _unit(unit), regions, licence, progress
-        )
-        write_template(template, out, config)
-    _finish_import(out, template.regions, facts, as_json)
+        ),
+        out,
+        overwrite,
+        as_json,
+    )
 
 
 @app.command("check")
@@ -227,10 +227,24 @@ def transfer_command(
     finish(f"{out}: {summary}", {"out": str(out), **facts}, as_json)
 
 
-def _finish_import(
-    out: Path, regions: dict[str, Any], facts: dict[str, Any], as_json: bool
+def _import(
+    title: str,
+    made: Callable[[ImportConfig, ProgressCallback], tuple[Template, dict[str, Any]]],
+    out: Path,
+    overwrite: bool,
+    as_json: bool,
 ) -> None:
-    sizes = {name: len(vertices) for name, vertices in regions.items()}
+    """Make a template, write it, print its facts."""
+    from lightstage.formats.files import require_new
+    from processing.template.build import MARKER, write_template
+    from processing.template.config import ImportConfig
+
+    require_new(out, overwrite, MARKER)
+    config = ImportConfig()
+    with progress_bar(title) as progress:
+        template, facts = made(config, progress)
+        write_template(template, out, config)
+    sizes = {name: len(vertices) for name, vertices in template.regions.items()}
     passed = facts.get("passed_over", [])
     if passed:
         named = ", ".join(passed[:5]) + (" .." if len(passed) > 5 else "")

@@ -26,7 +26,8 @@ from learning.render.environments import RandomLightConfig
 from learning.train import train
 from learning.whole.config import WholeTrainConfig
 from learning.whole.detail import BANDS, Shares, bands, enlarged, with_detail
-from learning.whole.faces import Faces, FacesConfig, displaced, displacement
+from learning.whole.displacement import displaced, displacement
+from learning.whole.faces import Faces, FacesConfig
 from learning.whole.infer import infer_whole_face
 from learning.whole.score import score_faces
 from learning.whole.train import WholeFaceTrainer, face_losses

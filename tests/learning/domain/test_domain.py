@@ -12,7 +12,7 @@ import pytest
 
 from learning.domain import command
 from learning.domain.closed import Found, LitSurfaces, find_light
-from learning.domain.command import read_target_light, write_domain_light
+from learning.domain.command import read_target_light
 from learning.domain.descent import descend
 from learning.domain.sample import Sample, sample_of
 from learning.errors import MapsError
@@ -27,7 +27,7 @@ from learning.render.environments import (
 )
 from learning.whole.light import Light, LitSurface
 from lightstage.errors import LightstageError
-from lightstage.formats.environment import LightSet, read_lights
+from lightstage.formats.environment import LightSet, read_lights, write_lights
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import write_json
 from tests.learning.domain.conftest import CAMERA_MM, LIGHT, Domain
@@ -101,7 +101,9 @@ def test_descent_brings_a_wrong_light_to_the_true_one_under_a_true_reflectance(
 
 
 def test_a_domains_light_is_what_a_training_draws_around(tmp_path: Path) -> None:
-    path = write_domain_light(LIGHT, np.array([100.0, 0.0, 900.0]), tmp_path / "light.json")
+    path = write_lights(
+        dataclasses.replace(LIGHT, camera_mm=np.array([100.0, 0.0, 900.0])), tmp_path / "light.json"
+    )
     assert len(read_lights(path).rgb) == 2
     target = read_target_light(path)
     config = RandomLightConfig(target=target, position_spread=0.2, intensity_spread=0.1)
@@ -188,7 +190,7 @@ def test_an_unlit_texture_has_no_light_to_find(domain: Domain, network: WholeFac
 @pytest.mark.parametrize("camera", ["front", [0, 0], [0, 0, None], [0.0, float("nan"), 1.0]])
 def test_a_camera_that_is_no_place_is_refused(tmp_path: Path, camera: object) -> None:
     path = tmp_path / "light.json"
-    write_domain_light(LIGHT, CAMERA_MM, path)
+    write_lights(dataclasses.replace(LIGHT, camera_mm=CAMERA_MM), path)
     value = {**json.loads(path.read_text()), "camera_mm": camera}
     path.write_text(json.dumps(value))
     with pytest.raises(LightstageError, match=r"camera_mm|NaN|finite"):

@@ -10,8 +10,8 @@ import pytest
 
 from learning.maps import load_head
 from learning.photo.config import FitConfig
-from learning.photo.fit import Places
 from learning.photo.model import ShapeModel, shape_model
+from learning.photo.shape_fit import Places
 from learning.relight import render_head, shadows_of
 from lightstage.formats.mesh import read_mesh
 from lightstage.formats.processed import ProcessedFolder

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from learning.photo.fit import Places
+from learning.photo.shape_fit import Places
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera, look_at

@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
-from learning.photo.fit import Places, joined
+from learning.photo.fit import joined
 from learning.photo.picture import read_photograph
+from learning.photo.shape_fit import Places
 from learning.photo.unwrap import unwrap
 from learning.render.uv import rasterise
 from lightstage.formats.environment import read_lights

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from learning.errors import MapsError
 from learning.limits import require_within
 from learning.photo.config import FitConfig
-from learning.photo.fit import Photograph, Places, Shape, fit_shape, without_similarity
 from learning.photo.landmark_fit import Problem, Sighting, Unknowns
 from learning.photo.model import ShapeModel, shape_model, smooth_changes
+from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape, without_similarity
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config
 from lightstage.formats.template import Template

@@ -15,12 +15,12 @@ from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
 from learning.photo.face_light import Lit, irradiance
 from learning.photo.face_places import turned_normals
-from learning.photo.fit import Photograph, Places, Shape, fit_shape
 from learning.photo.landmark_fit import Problem, Sighting
 from learning.photo.model import ShapeModel
 from learning.photo.outline import outline
 from learning.photo.picture import read_photograph
 from learning.photo.pixel_fit import PixelFit, State, skin, visible
+from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape
 from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.formats.template import Template
 from tests.learning.photo.scene import FOCAL_PX, HEIGHT_PX, WIDTH_PX, Shot, camera_at
