@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.record import record
-from lightstage.cameras.binding import close_cameras, open_cameras
+from lightstage.cameras.binding import close_cameras, try_cameras
 from lightstage.cameras.process import CameraProcess
 from lightstage.rig import default_rig
 from lightstage.session import SessionPlan, SessionWriter
@@ -130,7 +130,7 @@ def _ours(
     writer = SessionWriter.new(out, rig, plan)
     took, wrong, skews_ms = [], 0, []
     try:
-        _, problems = open_cameras(cameras)
+        _, problems = try_cameras(cameras)
         assert not problems, problems
         with ThreadPoolExecutor(CAMERAS) as pool:
             for name in plan.sequence:

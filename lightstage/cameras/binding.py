@@ -193,14 +193,6 @@ def _find_moved(
     return moved
 
 
-def open_cameras(
-    cameras: Sequence[CameraDevice],
-) -> tuple[list[Summary], list[LightstageError]]:
-    """Open cameras, all at once; the summaries, or the errors of all that failed."""
-    summaries, problems = try_cameras(cameras)
-    return list(summaries.values()), problems
-
-
 def close_cameras(cameras: Sequence[CameraDevice]) -> None:
     """Close cameras, all at once."""
     if cameras:

@@ -14,7 +14,7 @@ from typing import Any
 
 from lightstage.cameras.camera import CardFile
 from lightstage.session.events import Line
-from lightstage.session.photo_entry import Kept, Key, Recovered, in_words, key_of, packed, stem_of
+from lightstage.session.photo_entry import Kept, Key, Recovered, key_of, packed, stem_of
 
 NOT_OURS = "not-ours"
 """What a note is about that names a file on a card as another session's."""
@@ -166,11 +166,6 @@ class SessionState:
         with self._lock:
             kept = self._by_hash.get(packed(sha256))
             return None if kept is None else kept.key
-
-    def kept_hashes(self) -> dict[str, str]:
-        """SHA-256 of every photograph kept, rejected ones too, with whose it is."""
-        with self._lock:
-            return {kept.sha256: in_words(kept.key) for kept in self._frames}
 
     def outstanding(self, camera: str) -> tuple[str, int] | None:
         """Pattern and take that a camera was to take and of which no exposure is known."""

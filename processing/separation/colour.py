@@ -22,8 +22,9 @@ from processing.separation.coarse_given import Maps, Model, Window
 from processing.separation.coarse_kernels import COUNT, SUMS, finish_window, solve_window
 from processing.separation.coarse_tile import TILE_ROWS
 from processing.separation.coarse_tiles import solve_tiles
-from processing.separation.config import SeparateConfig
+from processing.separation.config import SeparateConfig, relief_of
 from processing.separation.far_tables import far_tables
+from processing.separation.linear import maps_by_chroma
 from processing.separation.view_readings import Pixels
 from processing.view_maps import PixelMaps
 
@@ -61,14 +62,24 @@ class Readings:
     px_per_mm: float
 
 
+def in_one_pass(config: SeparateConfig) -> bool:
+    """Whether `separate_window` does what `config` asks of the method `colour`."""
+    plain = config.specular_normals in ("auto", "diffuse")
+    return plain and config.normals in ("auto", "chroma")
+
+
 def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
-    """Separation of one view's pixels that are at hand as an array; see `separate_window`.
+    """Separation of one view's pixels that are at hand as an array.
+
+    By `separate_window`, or by `maps_by_chroma` where `config` asks for more than its one pass.
 
     Args:
         pixels: of the view.
         lights: of the P patterns.
         config: see there.
     """
+    if not in_one_pass(config):
+        return maps_by_chroma(pixels, lights, config, relief_of("colour", config))
     mask = pixels.mask
     values = np.zeros((pixels.rgb.shape[1], *mask.shape, 3), np.float32)
     values[:, mask] = pixels.rgb.transpose(1, 0, 2)

@@ -10,8 +10,7 @@ from processing.lighting.lights import PatternLights
 from processing.readings import px_per_mm
 from processing.separation import colour
 from processing.separation.choice import METHODS, used_patterns
-from processing.separation.config import SeparateConfig, relief_of
-from processing.separation.linear import maps_by_chroma
+from processing.separation.config import SeparateConfig
 from processing.separation.view_readings import Pixels
 from processing.view_maps import PixelMaps
 
@@ -37,7 +36,7 @@ def separate_view(
     Returns:
         PixelMaps of the mask's pixels in row order.
     """
-    if method == "colour" and _plain(config):
+    if method == "colour" and colour.in_one_pass(config):
         inner = np.ascontiguousarray(mask[frames.window.slices])
         readings = colour.window_readings(
             np.asarray(frames.half),
@@ -59,12 +58,4 @@ def separate_view(
         px_per_mm=px_per_mm(camera),
         camera=camera,
     )
-    if method == "colour":
-        return maps_by_chroma(pixels, lights, config, relief_of(method, config))
     return METHODS[method](pixels, lights, config)
-
-
-def _plain(config: SeparateConfig) -> bool:
-    """Whether `colour` is configured for what its one pass over the frames does."""
-    plain = config.specular_normals in ("auto", "diffuse")
-    return plain and config.normals in ("auto", "chroma")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.mesh import vertex_normals
 from sim.errors import SimError
 from sim.head.modes import EXPRESSIONS
 from sim.light.texture import raster_uv, texture_of
@@ -236,10 +236,3 @@ def _draw(seed: int, count: int, traits: Traits | None) -> _Draws:
         shift,
         random_traits(traits_rng) if traits is None else traits,
     )
-
-
-def mean_mesh(model: IctModel) -> Mesh:
-    """The mean face as a subject's mesh, head frame, mm."""
-    parts = parts_of(model)
-    motion = head_from_ict(model.mesh.vertices, model)
-    return parts.mesh((model.mesh.vertices @ motion[:, :3].T + motion[:, 3])[parts.vertices])

@@ -85,19 +85,28 @@ def test_wires_cover_the_side_that_is_seen_and_no_other(camera: Camera) -> None:
     np.testing.assert_array_equal(wireframe(white, behind, camera), white)
 
 
+def drawn_curve(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(h, w) bool: pixels of the only curve's blue, without the legend's."""
+    shown = line_chart({"loss": (x, y)}, "s", "loss").astype(int)
+    blue = (shown[:, :, 2] > 120) & (shown[:, :, 0] < 120)
+    blue[:40, 480:] = False
+    return blue
+
+
 def test_a_falling_curve_falls() -> None:
     x = np.linspace(0, 10, 50)
-    shown = line_chart({"loss": (x, np.exp(-x))}, "s", "loss").astype(int)
-    blue = (shown[:, :, 2] > 120) & (shown[:, :, 0] < 120)
-    blue[:40, 480:] = False  # the legend
+    blue = drawn_curve(x, np.exp(-x))
     first = np.nonzero(blue[:, 100])[0].mean()
     last = np.nonzero(blue[:, 600])[0].mean()
     assert first + 100 < last
 
 
 def test_a_constant_curve_is_drawn() -> None:
-    x = np.arange(5.0)
-    assert line_chart({"loss": (x, np.ones(5))}, "s", "loss").std() > 1
+    blue = drawn_curve(np.arange(5.0), np.ones(5))
+    columns = np.nonzero(blue.any(axis=0))[0]
+    assert columns[-1] - columns[0] > blue.shape[1] / 2
+    assert blue.any(axis=0)[columns[0] : columns[-1]].all()
+    assert np.ptp(np.nonzero(blue)[0]) < 10
 
 
 def test_labels_add_a_strip() -> None:

@@ -380,6 +380,6 @@ def test_the_state_of_a_journal_is_that_of_the_writer(desk, begun):
         }
     )
     assert state.next_take("full", "cam1") == 2
-    assert state.kept_hashes() == writer.state.kept_hashes()
+    assert state.all_frames() == writer.state.all_frames()
     json.dumps(state.begin)
     writer.close()

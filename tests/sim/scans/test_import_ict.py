@@ -18,7 +18,7 @@ from sim.people.subjects import load_subject
 from sim.scans.checks import outward_share
 from sim.scans.ict import load_ict
 from sim.scans.ict_match import head_from_ict, own_uv_of
-from sim.scans.ict_subject import BLENDS, blend, ict_subject, mean_mesh, over_eyeballs
+from sim.scans.ict_subject import BLENDS, blend, ict_subject, over_eyeballs
 from sim.scans.ict_tile import BACK, EYE_SOCKETS, FACE, LEFT_EYE, MOUTH_SOCKET, RIGHT_EYE, parts_of
 
 ROWS = 144
@@ -178,6 +178,13 @@ def test_closing_lids_slide_over_the_cornea_of_any_eye(model):
                 toward = (lid - centre) / np.linalg.norm(lid - centre)
                 beside = (ball - centre) @ toward > 0.99 * np.linalg.norm(ball - centre, axis=1)
                 assert ((ball - centre)[beside] @ toward).max() < np.linalg.norm(lid - centre)
+
+
+def mean_mesh(model) -> Mesh:
+    """The mean face as a subject's mesh, head frame, mm."""
+    parts = parts_of(model)
+    motion = head_from_ict(model.mesh.vertices, model)
+    return parts.mesh((model.mesh.vertices @ motion[:, :3].T + motion[:, 3])[parts.vertices])
 
 
 def test_each_places_skin_is_that_of_the_same_place_on_our_head(model):

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lightstage.cameras.binding import CamerasFile, close_cameras, open_cameras
+from lightstage.cameras.binding import CamerasFile, close_cameras, try_cameras
 from lightstage.cameras.camera import Summary
 from lightstage.cameras.process import CameraProcess, Deadlines
 from lightstage.capture import CaptureConfig, CaptureReport, Order, Stage, capture_session
@@ -191,12 +191,11 @@ class StandingStage:
                 ]
                 with SafeLights(leds, small.config.safety, small.rig) as lights:
                     lights.dark()
-                    happenings, failed = open_cameras(cameras)
+                    summaries, failed = try_cameras(cameras)
                     if failed:
                         raise one_error(failed)
-                    by_id = dict(zip(ports, happenings, strict=True))
                     file = CamerasFile(allow_unverifiable=untold)
-                    stage = Stage(small.rig, lights, tuple(cameras), by_id, file)
+                    stage = Stage(small.rig, lights, tuple(cameras), summaries, file)
                     operator = Watching(small.config.operator)
                     operator.watch = functools.partial(small.watch, root)
                     report = capture_session(stage, order, small.config, operator)
