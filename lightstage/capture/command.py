@@ -27,7 +27,7 @@ from lightstage.errors import ConfigError, FormatError, LightstageError, one_err
 from lightstage.findings import accepted_in_words
 from lightstage.formats.access import group_of, limited_access
 from lightstage.formats.consents import require_consents
-from lightstage.leds.address import worst_answer_s
+from lightstage.leds.address import LEDS_HELP, worst_answer_s
 from lightstage.operator import open_operator
 from lightstage.patterns import Drive, read_patterns, sequence_patterns, split_emitters
 from lightstage.preflight import consent_findings, measured_rig_findings, require_known
@@ -89,10 +89,7 @@ def capture_command(
     sequence: str | None = typer.Option(
         None, help="Named sequence, or pattern names with commas (binary)."
     ),
-    leds: str = typer.Option(
-        ...,
-        help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://..; or NAME=URL,NAME=URL",
-    ),
+    leds: str = typer.Option(..., help=LEDS_HELP),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
     resume: bool = typer.Option(False, "--resume", help="Resume the session in --out."),
     subject: str | None = typer.Option(None, help="Pseudonym, such as P07 (subject-1)."),

@@ -15,6 +15,7 @@ from lightstage.commands import JsonFlag, finish
 from lightstage.commands.tables import print_table
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
+from lightstage.leds.address import LEDS_HELP
 from lightstage.operator.words import notice_of
 from lightstage.preflight import Plan
 from lightstage.rig import load_rig
@@ -32,10 +33,7 @@ def register(app: typer.Typer) -> None:
 
 def devices_command(
     rig: Path = typer.Option(..., help="rig.json: the places of lamps and cameras."),
-    leds: str = typer.Option(
-        ...,
-        help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://..; or NAME=URL,NAME=URL",
-    ),
+    leds: str = typer.Option(..., help=LEDS_HELP),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
     folder: Path = typer.Option(
         Path(),

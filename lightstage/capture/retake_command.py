@@ -20,6 +20,7 @@ from lightstage.capture.config import read_config
 from lightstage.capture.session_run import Order, config_of, unfinished
 from lightstage.commands import JsonFlag
 from lightstage.errors import ConfigError, FormatError, LightstageError, one_error
+from lightstage.leds.address import LEDS_HELP
 from lightstage.rig import Rig
 from lightstage.session import read_journal
 from lightstage.session.opening import JOURNAL
@@ -34,10 +35,7 @@ def retake_command(
     session: Path = typer.Argument(help="Session folder."),
     pattern: str = typer.Argument(help="Whose photographs; several with commas."),
     camera: list[str] = typer.Argument(None, help="Cameras that take them; all where absent."),
-    leds: str = typer.Option(
-        ...,
-        help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://..; or NAME=URL,NAME=URL",
-    ),
+    leds: str = typer.Option(..., help=LEDS_HELP),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
     clear: bool = typer.Option(False, "--clear", help="Clear owner and place on the cameras."),
     delete: bool = typer.Option(

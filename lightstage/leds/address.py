@@ -31,6 +31,28 @@ class Options:
     attempts: int = 3
     pulse_hz: float | None = None
 
+    @property
+    def worst_s(self) -> float:
+        """After so long a request has failed, or its light has settled."""
+        return self.timeout_s * self.attempts
+
+
+@dataclasses.dataclass(frozen=True)
+class UnansweredOptions(Options):
+    """What the URL of every device may have that does not acknowledge its light.
+
+    Attributes:
+        settle_s: after the last byte is out until the light counts as settled.
+    """
+
+    attempts: int = 2
+    settle_s: float = 0.05
+
+    @property
+    def worst_s(self) -> float:
+        """After so long a request has failed, or its light has settled."""
+        return super().worst_s + self.settle_s
+
 
 @dataclasses.dataclass(frozen=True)
 class SerialOptions(Options):
@@ -44,7 +66,7 @@ class SerialOptions(Options):
 
 
 @dataclasses.dataclass(frozen=True)
-class AdalightOptions(Options):
+class AdalightOptions(UnansweredOptions):
     """Adalight on a serial port.
 
     Attributes:
@@ -52,19 +74,16 @@ class AdalightOptions(Options):
         colour: RRGGBB that full level shall have; a white mixed of unequal primaries.
         order: in which the LEDs take their three bytes.
         gamma: of the device: its light goes with (value / 255) ** gamma.
-        settle_s: after the last byte is out until the light counts as settled.
     """
 
-    attempts: int = 2
     baud: int = 115200
     colour: str = "ffffff"
     order: str = "rgb"
     gamma: float = 1.0
-    settle_s: float = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
-class SacnOptions(Options):
+class SacnOptions(UnansweredOptions):
     """E1.31 (sACN) over UDP.
 
     Attributes:
@@ -73,33 +92,30 @@ class SacnOptions(Options):
         channels: slots of a light, all driven alike (or pairs of slots, with 16 bits).
         bits: 8, or 16 as a coarse and a fine slot.
         gamma: of the device: its light goes with (value / full) ** gamma.
-        settle_s: after the last packet until the light counts as settled.
         interface: address of the network card by which multicast leaves; the system's choice.
     """
 
+    attempts: int = 3
     universe: int = 1
     priority: int = 100
     channels: int = 1
     bits: int = 8
     gamma: float = 1.0
-    settle_s: float = 0.05
     interface: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
-class IclOptions(Options):
+class IclOptions(UnansweredOptions):
     """lsserver of ICL's stage, over a WebSocket (docs/icl.md).
 
     Attributes:
         lights: which emitters a channel is: `white`, `rgb`, `both`, `polarised`, `emitters`.
         rgb: RRGGBB of a fixture's red, green and blue emitter at full level.
         white: the same of its warm, neutral and cool emitter.
-        settle_s: after the server took the state until the light counts as settled: it sends every
-            33 ms, and its fixtures do not answer.
+        settle_s: longer, as the server sends a state that it took every 33 ms.
     """
 
     timeout_s: float = 5.0
-    attempts: int = 2
     lights: str = "white"
     rgb: str = "ffffff"
     white: str = "ffffff"
@@ -115,11 +131,17 @@ OPTIONS: dict[str, type[Options]] = {
     "sacn": SacnOptions,
     "ws": IclOptions,
 }
-EXPECTED = (
-    "serial:///dev/ttyX?baud=.., pty:///dev/pts/N, socket://HOST:PORT, "
-    "adalight:///dev/ttyX?baud=.., sacn://HOST or sacn://multicast?universe=.., "
-    "ws://HOST:8080/ws of ICL's stage"
-)
+WRITTEN = {
+    "serial": "serial:///dev/ttyX?baud=..",
+    "pty": "pty:///dev/pts/N",
+    "socket": "socket://HOST:PORT",
+    "adalight": "adalight:///dev/ttyX?baud=..",
+    "sacn": "sacn://HOST or sacn://multicast?universe=..",
+    "ws": "ws://HOST:8080/ws of ICL's stage",
+}
+"""Scheme to how its URLs are written: in help and in messages."""
+EXPECTED = ", ".join(WRITTEN[scheme] for scheme in OPTIONS)
+LEDS_HELP = f"The LED device: {EXPECTED}; several as NAME=URL,NAME=URL."
 _NAMED = r"[^=,:/?&]+=[a-z0-9]+://"
 """How an entry begins that names its controller."""
 RANGES: dict[str, tuple[float, float]] = {
@@ -141,7 +163,7 @@ class Address:
     """A URL that was read.
 
     Attributes:
-        scheme: serial, pty, socket, adalight, sacn or ws.
+        scheme: of `OPTIONS`.
         place: device file, or host.
         port: of the host; 0 for device files.
         options: from behind the question mark.
@@ -157,10 +179,7 @@ class Address:
     @property
     def worst_s(self) -> float:
         """After so long a request has failed, or its light has settled."""
-        options = self.options
-        unanswered = AdalightOptions | SacnOptions | IclOptions
-        settle_s = options.settle_s if isinstance(options, unanswered) else 0.0
-        return options.timeout_s * options.attempts + settle_s
+        return self.options.worst_s
 
     def __str__(self) -> str:
         return self.place if not self.port else f"{self.place}:{self.port}"

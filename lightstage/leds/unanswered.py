@@ -10,7 +10,7 @@ import numpy as np
 
 from lightstage.closing import Closing
 from lightstage.errors import DeviceError
-from lightstage.leds.address import AdalightOptions, IclOptions, SacnOptions
+from lightstage.leds.address import UnansweredOptions
 from lightstage.leds.controller import Hello
 
 
@@ -32,7 +32,7 @@ class UnansweredLeds(Closing):
         where: str,
         light_count: int,
         firmware: str,
-        options: AdalightOptions | SacnOptions | IclOptions,
+        options: UnansweredOptions,
         keep_alive_s: float | None = None,
     ) -> None:
         self._where = where

@@ -1,18 +1,24 @@
 """URLs of LED devices."""
 
+import dataclasses
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from lightstage.errors import ConfigError
 from lightstage.leds.address import (
+    LEDS_HELP,
+    OPTIONS,
     AdalightOptions,
     IclOptions,
     Options,
     SacnOptions,
     SerialOptions,
+    UnansweredOptions,
     parse_url,
 )
+from tests.documents import ROOT
 
 
 def test_each_scheme_has_its_place_its_options_and_its_defaults():
@@ -41,6 +47,23 @@ def test_each_scheme_has_its_place_its_options_and_its_defaults():
     )
     assert icl.options == IclOptions(lights="polarised", white="ff8000", settle_s=0.2, attempts=3)
     assert icl.worst_s == 15.2
+
+
+@pytest.mark.parametrize("scheme", OPTIONS)
+def test_the_longest_answer_of_every_kind_counts_the_time_in_which_its_light_settles(scheme):
+    options = OPTIONS[scheme](timeout_s=3.0, attempts=4)
+    settles = "settle_s" in {field.name for field in dataclasses.fields(options)}
+    assert settles == isinstance(options, UnansweredOptions)
+    if settles:
+        options = dataclasses.replace(options, settle_s=50.0)
+    assert options.worst_s == 12.0 + 50.0 * settles
+
+
+def test_help_and_the_page_of_the_wires_name_every_kind():
+    page = (ROOT / "docs" / "led_wire.md").read_text()
+    for scheme in OPTIONS:
+        assert f"{scheme}://" in LEDS_HELP
+        assert f"| `{scheme}://" in page
 
 
 @pytest.mark.parametrize(
