@@ -2,30 +2,53 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 from lightstage.formats.session import Session
 from processing.errors import ProcessingError
 from processing.lighting.lights import PatternLights, fix_normals, pattern_lights, rank
 from processing.separation import colour, kampouris, linear, mux, polarised, ratios
-from processing.separation.config import SeparateConfig
+from processing.separation.config import Relief, SeparateConfig
 from processing.separation.view_readings import Pixels
 from processing.view_maps import PixelMaps
 
-Method = Callable[[Pixels, PatternLights, SeparateConfig], PixelMaps]
-"""Separates one view's pixels under the lights of their patterns."""
 
-METHODS: dict[str, Method] = {
-    "colour": colour.separate_pixels,
-    "kampouris": kampouris.separate_pixels,
-    "ratios": ratios.separate_pixels,
-    "polarised": polarised.separate_pixels,
-    "linear": linear.separate_pixels,
-    "mux": mux.separate_pixels,
+@dataclasses.dataclass(frozen=True)
+class Method:
+    """What is known of a method of separation.
+
+    Attributes:
+        separate: separates one view's pixels under the lights of their patterns.
+        normals: what it takes its diffuse normals from by itself, in a word.
+        relief: what its specular normals are by itself.
+        normals_taken: values that `normals` of the configuration may have beside ``auto``; None
+            for all of them.
+        reliefs_taken: the same for `specular_normals`.
+        pairs_alone: whether it takes nothing from other photographs than `full` and the pairs.
+    """
+
+    separate: Callable[[Pixels, PatternLights, SeparateConfig], PixelMaps]
+    normals: str
+    relief: Relief
+    normals_taken: tuple[str, ...] | None = None
+    reliefs_taken: tuple[str, ...] | None = None
+    pairs_alone: bool = False
+
+
+METHODS = {
+    "colour": Method(colour.separate_pixels, "chroma", colour.RELIEF),
+    "kampouris": Method(kampouris.separate_pixels, "separated", kampouris.RELIEF, pairs_alone=True),
+    "ratios": Method(
+        ratios.separate_pixels, "mean", "diffuse", reliefs_taken=("diffuse",), pairs_alone=True
+    ),
+    "polarised": Method(polarised.separate_pixels, "crossed", polarised.RELIEF),
+    "linear": Method(linear.separate_pixels, "chroma", linear.RELIEF),
+    "mux": Method(
+        mux.separate_pixels, "channels", "diffuse", normals_taken=(), reliefs_taken=("diffuse",)
+    ),
 }
-ONLY_NORMALS: dict[str, tuple[str, ...]] = {"mux": ()}
-ONLY_RELIEF: dict[str, tuple[str, ...]] = {"mux": ("diffuse",), "ratios": ("diffuse",)}
-"""Methods that have no choice of normals, and the settings they take."""
+"""Every method by its name, which `SeparateConfig.method` lists too."""
 
 
 def chosen_method(lights: PatternLights, config: SeparateConfig) -> str:
@@ -51,14 +74,17 @@ def chosen_method(lights: PatternLights, config: SeparateConfig) -> str:
             expected=f"auto, {', '.join(fitting)} for these patterns",
             hint="Leave the method to `auto`, or capture the sequence that it needs.",
         )
-    for option, known in (("normals", ONLY_NORMALS), ("specular_normals", ONLY_RELIEF)):
-        wanted = getattr(config, option)
-        if wanted not in ("auto", *known.get(method, (wanted,))):
+    chosen = METHODS[method]
+    for option, wanted, taken in (
+        ("normals", config.normals, chosen.normals_taken),
+        ("specular_normals", config.specular_normals, chosen.reliefs_taken),
+    ):
+        if taken is not None and wanted not in ("auto", *taken):
             raise ProcessingError(
                 "configuration",
                 field=f"separate.{option}",
                 found=wanted,
-                expected=", ".join(("auto", *known[method])) + f" with the method {method}",
+                expected=", ".join(("auto", *taken)) + f" with the method {method}",
                 hint="It has no others.",
             )
     return method
@@ -119,9 +145,14 @@ def fitting_methods(lights: PatternLights) -> list[str]:
     return ["colour", "linear", *(("kampouris", "ratios") if pairs else ())]
 
 
+def normals_of(method: str, config: SeparateConfig) -> str:
+    """What a method's diffuse normals are taken from, in a word."""
+    return METHODS[method].normals if config.normals == "auto" else config.normals
+
+
 def used_patterns(method: str, lights: PatternLights) -> tuple[str, ...]:
     """The patterns whose photographs a method takes anything from, in their order."""
-    if method not in ("kampouris", "ratios"):
+    if not METHODS[method].pairs_alone:
         return lights.patterns
     wanted = {"full", *(f"{axis}{sign}" for axis in "xyz" for sign in "+-")}
     return tuple(name for name in lights.patterns if name in wanted)

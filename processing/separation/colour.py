@@ -22,12 +22,14 @@ from processing.separation.coarse_given import Maps, Model, Window
 from processing.separation.coarse_kernels import COUNT, SUMS, finish_window, solve_window
 from processing.separation.coarse_tile import TILE_ROWS
 from processing.separation.coarse_tiles import solve_tiles
-from processing.separation.config import SeparateConfig, relief_of
+from processing.separation.config import Relief, SeparateConfig, relief_of
 from processing.separation.far_tables import far_tables
 from processing.separation.linear import maps_by_chroma
 from processing.separation.view_readings import Pixels
 from processing.view_maps import PixelMaps
 
+RELIEF: Relief = "diffuse"
+"""What its specular normals are by itself."""
 RAY_STEP_RAD = 1e-3
 """The camera's rays are found at steps of this angle and interpolated."""
 SETTLED = 4e-6
@@ -79,7 +81,7 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
         config: see there.
     """
     if not in_one_pass(config):
-        return maps_by_chroma(pixels, lights, config, relief_of("colour", config))
+        return maps_by_chroma(pixels, lights, config, relief_of(RELIEF, config))
     mask = pixels.mask
     values = np.zeros((pixels.rgb.shape[1], *mask.shape, 3), np.float32)
     values[:, mask] = pixels.rgb.transpose(1, 0, 2)

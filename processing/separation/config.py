@@ -8,17 +8,9 @@ from typing import Literal
 from processing.lighting.lobe import SKIN_F0
 from processing.separation.lobe_fit import LobeFitConfig
 
-OWN_NORMALS = {
-    "colour": "chroma",
-    "linear": "chroma",
-    "kampouris": "separated",
-    "ratios": "mean",
-    "polarised": "crossed",
-    "mux": "channels",
-}
-"""What each method takes its diffuse normals from by itself."""
-OWN_RELIEF = {"polarised": "mirror", "linear": "detail", "kampouris": "mirror"}
-"""What specular normals a method has by itself, the diffuse ones where it is not named."""
+Relief = Literal["mirror", "detail", "diffuse"]
+"""What specular normals are: from mirror directions, their relief on the diffuse normals, or the
+diffuse normals themselves."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,9 +76,8 @@ class SeparateConfig:
     """Below this saturation colour has no weight; from twice as much it has full weight."""
     dark_level: float = 0.004
     """A pixel whose brightest pattern stays below this is not used (1 = white under `full`)."""
-    specular_normals: Literal["auto", "mirror", "detail", "diffuse"] = "auto"
-    """Specular normals of `colour`, `linear` and `polarised`: from mirror directions, their relief
-    on the diffuse normals, or the diffuse normals themselves. `auto`: the best of each method."""
+    specular_normals: Literal["auto", Relief] = "auto"
+    """What specular normals are; `auto`: the best of each method."""
     noise: float = 0.001
     """Standard deviation of a reading I over sqrt(.25 + I), as a camera at base sensitivity has."""
     half_trust_deg: float = 5.0
@@ -100,13 +91,6 @@ class SeparateConfig:
     mux: MuxConfig = dataclasses.field(default_factory=MuxConfig)
 
 
-def normals_of(method: str, config: SeparateConfig) -> str:
-    """What a method's diffuse normals are taken from, in a word."""
-    return OWN_NORMALS[method] if config.normals == "auto" else config.normals
-
-
-def relief_of(method: str, config: SeparateConfig) -> str:
-    """What a method's specular normals are: ``mirror``, ``detail`` or ``diffuse``."""
-    if config.specular_normals != "auto":
-        return config.specular_normals
-    return OWN_RELIEF.get(method, "diffuse")
+def relief_of(own: Relief, config: SeparateConfig) -> Relief:
+    """What a method's specular normals are, where its own are `own`."""
+    return own if config.specular_normals == "auto" else config.specular_normals

@@ -16,13 +16,15 @@ from processing.lighting.lights import PatternLights, far_field, no_shadows
 from processing.lighting.lobe import transport
 from processing.normals import blurred, ratio_normals, solve_far_normals
 from processing.readings import read_pixels
-from processing.separation.config import KampourisConfig, SeparateConfig, relief_of
+from processing.separation.config import KampourisConfig, Relief, SeparateConfig, relief_of
 from processing.separation.lobe_fit import with_detail
 from processing.separation.pairs import axis_pairs, full_reading
 from processing.separation.variants import normal_signal
 from processing.separation.view_readings import Pixels
 from processing.view_maps import PixelMaps
 
+RELIEF: Relief = "mirror"
+"""What its specular normals are by itself."""
 COMBINES = ("maximum", "median", "mean", "weighted")
 
 
@@ -67,7 +69,7 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
         flat_albedo(rgb, lights, pairs, normal, views, specular, options.field, config.roughness), 0
     )
     facets = normal
-    if (relief := relief_of("kampouris", config)) != "diffuse":
+    if (relief := relief_of(RELIEF, config)) != "diffuse":
         facets = _halved(views, vector, normal)
     if relief == "detail":
         sigma_px = config.linear.detail_mm * pixels.px_per_mm

@@ -13,12 +13,15 @@ import numpy as np
 
 from processing.lighting.lights import PatternLights
 from processing.readings import read_pixels
-from processing.separation.config import SeparateConfig, relief_of
+from processing.separation.config import Relief, SeparateConfig, relief_of
 from processing.separation.lobe_fit import maps_by_lobe
 from processing.separation.matte import matte_normals
 from processing.separation.variants import noise_of, normal_signal
 from processing.separation.view_readings import Pixels
 from processing.view_maps import PixelMaps
+
+RELIEF: Relief = "detail"
+"""What its specular normals are by itself."""
 
 
 def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
@@ -26,7 +29,7 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
 
     Source: [Ma2007] for linear gradients.
     """
-    return maps_by_chroma(pixels, lights, config, relief_of("linear", config))
+    return maps_by_chroma(pixels, lights, config, relief_of(RELIEF, config))
 
 
 def maps_by_chroma(

@@ -13,13 +13,16 @@ import numpy as np
 from processing.lighting.lights import PatternLights, cells_of
 from processing.lighting.polarisers import diffuse_shares, mirror_lights
 from processing.readings import read_pixels
-from processing.separation.config import SeparateConfig, relief_of
+from processing.separation.config import Relief, SeparateConfig, relief_of
 from processing.separation.lobe_fit import maps_by_lobe
 from processing.separation.lobe_table import lobe_table, table_lobe
 from processing.separation.matte import matte_normals
 from processing.separation.variants import noise_of, normal_signal
 from processing.separation.view_readings import Pixels
 from processing.view_maps import PixelMaps
+
+RELIEF: Relief = "mirror"
+"""What its specular normals are by itself."""
 
 
 def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
@@ -59,7 +62,7 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
         leak = table_lobe(table, normal, views, config.roughness)[:, crossed]
         normal, trust = solved(signal - np.float32(options.specular_prior) * leak)
     shares = None if filtered is None else filtered[cells_of(normal)]
-    relief = relief_of("polarised", config)
+    relief = relief_of(RELIEF, config)
     return maps_by_lobe(
         pixels, rgb, normal, trust, lights, mirror, config.noise, relief, options, shares
     )

@@ -14,8 +14,8 @@ from processing.errors import ProcessingError
 from processing.frames.read import read_foreground, read_frames
 from processing.lighting.lights import PatternLights, pattern_lights
 from processing.parallel import over_views, workers
-from processing.separation.choice import chosen_method
-from processing.separation.config import SeparateConfig, normals_of, relief_of
+from processing.separation.choice import METHODS, chosen_method, normals_of
+from processing.separation.config import SeparateConfig, relief_of
 from processing.separation.view import separate_view
 
 BYTES_A_PIXEL, BYTES_OF_ARRAYS = 50, 400
@@ -97,7 +97,7 @@ def separate(
     return {
         "method": method,
         "diffuse_normals": normals_of(method, config),
-        "specular_normals": relief_of(method, config),
+        "specular_normals": relief_of(METHODS[method].relief, config),
         "lights": lights.source,
         "views": len(cameras),
         "pixels": pixels,

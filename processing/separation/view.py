@@ -58,4 +58,4 @@ def separate_view(
         px_per_mm=px_per_mm(camera),
         camera=camera,
     )
-    return METHODS[method](pixels, lights, config)
+    return METHODS[method].separate(pixels, lights, config)

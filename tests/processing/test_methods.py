@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import typing
 
 import numpy as np
 import pytest
@@ -310,6 +311,17 @@ def test_auto_takes_the_method_that_the_patterns_are_for(
     assert method in METHODS
 
 
+def test_the_configuration_takes_every_method_and_no_other() -> None:
+    named = typing.get_args(typing.get_type_hints(SeparateConfig)["method"])
+    assert set(named) == {"auto", *METHODS}
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_is_tried_on_a_ball(method: str) -> None:
+    # `colour` has balls of its own in test_coarse.py and test_reflectance.py.
+    assert method == "colour" or METHODS[method].separate in {case[0] for case in CASES.values()}
+
+
 @pytest.mark.parametrize("sequence", ["mux", "full", "polarised"])
 def test_patterns_that_fix_no_normal_fit_no_method(sequence: str) -> None:
     lights = shots.rig_lights(RIG, SEQUENCES[sequence])
@@ -345,7 +357,7 @@ def test_each_choice_of_specular_normals_does_something() -> None:
     found = {}
     for relief in ("mirror", "detail", "diffuse"):
         config = dataclasses.replace(CONFIG, specular_normals=relief, normals="red")
-        assert relief_of("linear", config) == relief
+        assert relief_of(linear.RELIEF, config) == relief
         found[relief] = solved("linear on binary", config).specular_normal[INNER]
     assert angle_deg(found["mirror"], found["diffuse"]).mean() > 0.1
     assert angle_deg(found["detail"], found["diffuse"]).mean() > 0.01
