@@ -17,8 +17,9 @@ from benchmarks.record import record
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Camera
+from processing.atlas.config import AtlasConfig
 from processing.atlas.raster import rasterise
-from processing.atlas.stage import AtlasConfig, atlas
+from processing.atlas.stage import atlas
 
 SCALE = 0.1795
 """Of the cameras' full size, as in the demonstration: 720 x 1080."""

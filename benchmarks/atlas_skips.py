@@ -27,11 +27,11 @@ from benchmarks.record import record
 from lightstage.formats.mesh import read_obj
 from lightstage.formats.processed import MAPS
 from processing.atlas import weights
-from processing.atlas.blend import BlendConfig, Blender
+from processing.atlas.blend import Blender
+from processing.atlas.config import BLENDED, OPTIONAL, BlendConfig
 from processing.atlas.geometry import Geometry
 from processing.atlas.sampling import room, side_by_side
 from processing.atlas.seen import Seen
-from processing.atlas.stage import BLENDED, OPTIONAL
 from processing.atlas.tiles import TileBounds
 from processing.atlas.weights import Sampler, Texels
 

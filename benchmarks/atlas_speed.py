@@ -25,8 +25,9 @@ from benchmarks.atlas_case import AtlasCase, case_at, make_case, skin
 from benchmarks.record import record
 from lightstage.formats.session import Session
 from lightstage.rig import Rig
+from processing.atlas.config import BLENDED, OPTIONAL, AtlasConfig
 from processing.atlas.raster import rasterise
-from processing.atlas.stage import BLENDED, OPTIONAL, AtlasConfig, atlas
+from processing.atlas.stage import atlas
 
 NOISE = 0.002
 PART_ROWS = 256

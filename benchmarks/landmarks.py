@@ -16,9 +16,9 @@ from lightstage.faces.schemes import ibug68
 from lightstage.formats.template import default_template_path, load_template
 from lightstage.rig import Camera, Rig, default_rig, look_at
 from processing.colour import srgb_from_linear
+from processing.registration.config import RegisterConfig
 from processing.registration.landmarks import triangulate
 from processing.registration.providers import DetectedLandmarks
-from processing.registration.stage import RegisterConfig
 from sim.light.lamps import point_lamps
 from sim.light.relight import auto_exposure
 from sim.light.world import World

@@ -20,7 +20,8 @@ from lightstage.formats.mesh import Mesh, read_mesh, vertex_normals
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path, load_template
 from processing.dataset import read_head_pose
-from processing.registration.stage import RegisterConfig, head_pose, register_mesh
+from processing.registration.config import RegisterConfig
+from processing.registration.stage import head_pose, register_mesh
 from sim.light.scene import Scene
 from sim.light.texture import raster_uv, sample
 from sim.people.dataset import Person, make_plan

@@ -14,9 +14,9 @@ import numpy as np
 from benchmarks.record import record
 from benchmarks.registration_case import FACE, HOLES, Case, make_case, model
 from benchmarks.registration_peer import STEPS, aligned, nricp_amberg
+from processing.registration.config import NonrigidConfig, RegisterConfig
 from processing.registration.flips import crossing_triangles, folded_triangles
-from processing.registration.nonrigid import NonrigidConfig
-from processing.registration.stage import RegisterConfig, register_mesh
+from processing.registration.stage import register_mesh
 from processing.registration.target import Target
 
 CASES: dict[str, dict[str, Any]] = {

@@ -11,8 +11,9 @@ import time
 from benchmarks.networks_people import chosen, of_other_topology, outside_of
 from benchmarks.record import record
 from lightstage.formats.template import default_template_path, load_template
+from processing.registration.config import RegisterConfig
 from processing.registration.providers import DetectedLandmarks, landmarks_of_mesh
-from processing.registration.stage import RegisterConfig, register_mesh
+from processing.registration.stage import register_mesh
 
 PEOPLE, ROWS = 4, 96
 

@@ -15,7 +15,8 @@ from benchmarks.registration_case import make_case, model
 from lightstage.formats.landmarks import read_points_mm
 from lightstage.formats.mesh import Mesh, read_ply
 from lightstage.formats.template import Template, default_template_path, load_template
-from processing.registration.stage import RegisterConfig, register_mesh
+from processing.registration.config import RegisterConfig
+from processing.registration.stage import register_mesh
 from sim.scans.lps import load_scan, scan_folder
 
 PROTOCOLS = {"every second": 2, "each fifth": 5}

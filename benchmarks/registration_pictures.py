@@ -16,8 +16,9 @@ from lightstage.formats.landmarks import read_points_mm
 from lightstage.formats.mesh import Mesh, read_ply, vertex_normals
 from lightstage.formats.template import default_template_path, load_template
 from processing.rays import interpolate
+from processing.registration.config import RegisterConfig
 from processing.registration.residual import residual
-from processing.registration.stage import RegisterConfig, head_pose, register_mesh
+from processing.registration.stage import head_pose, register_mesh
 from processing.sides import side_hits
 
 PEOPLE = {1: "neutral", 2: "smile", 3: "neutral", 4: "smile", 5: "smile"}

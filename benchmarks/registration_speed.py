@@ -11,8 +11,8 @@ import numpy as np
 from benchmarks.record import record
 from benchmarks.registration_case import Case, make_case, model
 from lightstage.formats.mesh import Mesh
-from processing.registration.nonrigid import NonrigidConfig
-from processing.registration.stage import RegisterConfig, register_mesh
+from processing.registration.config import NonrigidConfig, RegisterConfig
+from processing.registration.stage import register_mesh
 from processing.registration.target import Target
 
 SEED = 1

@@ -19,7 +19,7 @@ from lightstage.formats.template import Template, default_template_path, load_te
 from processing.atlas.raster import rasterise
 from processing.atlas.skin import skin_vertices
 from processing.atlas.tangents import tangent_frames, to_tangent_space
-from processing.registration.stage import RegisterConfig
+from processing.registration.config import RegisterConfig
 from processing.template.config import TransferConfig
 from processing.template.import_ict import import_ict
 from processing.template.transfer import Pair, read_of, registered_pair, transfer

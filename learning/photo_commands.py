@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from learning.photo.config import FitConfig
 from lightstage.commands import (
     JsonFlag,
     finish,
@@ -53,13 +54,17 @@ FilmOption = Annotated[
 ]
 FitRowsOption = Annotated[
     int | None,
-    typer.Option("--rows", help="Rows of the texture, a multiple of 3; 1536 where not given."),
+    typer.Option(
+        "--rows",
+        help=f"Rows of the texture, a multiple of 3; {FitConfig.rows} where not given.",
+    ),
 ]
 FitRefineOption = Annotated[
     float | None,
     typer.Option(
         "--refine",
-        help="Seconds, at most, for the search of the light; 20 where not given, 0 for none.",
+        help="Seconds, at most, for the search of the light; "
+        f"{FitConfig.refine_seconds:g} where not given, 0 for none.",
     ),
 ]
 FitConfigOption = Annotated[

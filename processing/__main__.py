@@ -28,6 +28,7 @@ from lightstage.formats.access import group_of, limited_access
 from lightstage.formats.consents import require_consents
 from lightstage.formats.template import default_template_path
 from processing import dataset_commands
+from processing.atlas.config import AtlasConfig
 from processing.batch import command as batch_command
 from processing.calibration import command as calibration_command
 from processing.calibration.cameras import command as cameras_command
@@ -58,7 +59,9 @@ Force = typer.Option(
     False, "--force", help="Go on where photographs contradict each other or their patterns."
 )
 ConfigPath = typer.Option(None, "--config", help="TOML file with one table for each stage.")
-AtlasRows = typer.Option(None, "--atlas-rows", min=6, help="Atlas height in texels [6144].")
+AtlasRows = typer.Option(
+    None, "--atlas-rows", min=6, help=f"Atlas height in texels [{AtlasConfig.rows}]."
+)
 
 
 @app.command()

@@ -17,7 +17,8 @@ from lightstage.formats.files import write_json
 from lightstage.formats.lock import locked
 from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
-from processing.atlas.stage import AtlasConfig, atlas
+from processing.atlas.config import AtlasConfig
+from processing.atlas.stage import atlas
 from processing.coarse_maps import has_coarse, write_as_views
 from processing.decode.completing import unmendable_frames, with_complements
 from processing.decode.stage import DecodeConfig, decode, lit_patterns
@@ -42,7 +43,8 @@ from processing.records import (
 )
 from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
-from processing.registration.stage import RegisterConfig, register, require_landmarks
+from processing.registration.config import RegisterConfig
+from processing.registration.stage import register, require_landmarks
 from processing.separation.choice import give_normals, no_normals
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate

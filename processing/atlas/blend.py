@@ -2,27 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 
+from processing.atlas.config import BlendConfig
 from processing.atlas.sampling import Sharing, accumulate, hold, low_band, weigh_up, widen
-from processing.atlas.weights import ViewSamples, WeightConfig
-
-
-@dataclasses.dataclass(frozen=True)
-class BlendConfig:
-    """How views are weighted and merged."""
-
-    band_mm: float = 3.0
-    """Gaussian sigma between the two bands: below it views are averaged widely, above narrowly."""
-    detail_power: float = 4.0
-    """Power on the weights of the fine band: the best view's detail is kept, not averaged away."""
-    detail_least: float = 0.1
-    """A view whose weight is below this share of the best's adds nothing to the fine band, where
-    it would count a ten-thousandth: half floats do not resolve that."""
-    weights: WeightConfig = dataclasses.field(default_factory=WeightConfig)
+from processing.atlas.weights import ViewSamples
 
 
 class Blender:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.errors import ConfigError, LightstageError, one_error
+from lightstage.errors import LightstageError, one_error
 from lightstage.formats.mesh import Mesh, read_obj, read_ply
 from lightstage.formats.processed import MAPS, ProcessedFolder
 from lightstage.formats.session import Session
 from lightstage.formats.template import Template
 from lightstage.rig import Camera
-from processing.atlas.blend import BlendConfig, Blender
+from processing.atlas.blend import Blender
+from processing.atlas.config import OPTIONAL, AtlasConfig
 from processing.atlas.fill import BY_DIFFUSION, MeshFill, mirrored_vertices
 from processing.atlas.finish import gutter_sources, picture, towards, unit_towards
 from processing.atlas.geometry import Geometry
@@ -28,53 +28,10 @@ from processing.closest import ClosestPoints
 from processing.errors import AtlasError
 from processing.parallel import Behind, over_views
 
-BLENDED = (
-    "diffuse_albedo",
-    "specular_albedo",
-    "diffuse_normal",
-    "specular_normal",
-    "ambient_occlusion",
-)
 NORMALS = ("diffuse_normal", "specular_normal")
-OPTIONAL = ("roughness",)
-"""Blended where every view has it."""
 MOST_OVERLAP = 0.01
 AHEAD = 2
 """Views that are read, or maps that are written, while others are worked on."""
-
-
-@dataclasses.dataclass(frozen=True)
-class AtlasConfig:
-    """The atlas's settings."""
-
-    rows: int = 6144
-    """Columns are two thirds of it."""
-    gutter_px: int = 16
-    """How far the islands' colours reach beyond their borders."""
-    maps: tuple[str, ...] = BLENDED + OPTIONAL
-    """Which of the views' maps are merged; the others are not read."""
-    largest_gap_mm: float = 1.5
-    """Where the registered mesh is farther than this from the scan, views are not believed."""
-    mirror_mm: float = 3.0
-    """A template's vertex whose mirror image has none nearer than this has no other side."""
-    skin_margin_mm: float = 2.0
-    """What is nearer than this to an eye or to the opening of the mouth is no skin."""
-    blend: BlendConfig = dataclasses.field(default_factory=BlendConfig)
-
-    def __post_init__(self) -> None:
-        """Refuse rows that no 3:2 atlas has, before any stage runs."""
-        if self.rows < 6 or self.rows % 3:
-            raise ConfigError(
-                "atlas", field="rows", found=str(self.rows), expected="a multiple of 3, 6 at least"
-            )
-        unknown = sorted(set(self.maps) - {*BLENDED, *OPTIONAL})
-        if unknown:
-            raise ConfigError(
-                "atlas",
-                field="maps",
-                found=", ".join(unknown),
-                expected=f"some of {', '.join(BLENDED + OPTIONAL)}",
-            )
 
 
 def atlas(

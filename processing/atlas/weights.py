@@ -9,6 +9,7 @@ import numpy as np
 
 from lightstage.formats.half import as_float
 from lightstage.rig import Camera
+from processing.atlas.config import WeightConfig
 from processing.atlas.sampling import Reading, readable
 from processing.atlas.tiles import TileBounds, bound
 from processing.atlas.visibility import depth_buffer, silhouette_distance
@@ -20,28 +21,6 @@ APART_PX = 4
 more."""
 FRAME_PX = 2
 """Around what may be read: one for neighbours, one that is surely outside."""
-
-
-@dataclasses.dataclass(frozen=True)
-class WeightConfig:
-    """How views are weighted."""
-
-    feather_mm: float = 6.0
-    """A view's weight rises from 0 at its silhouettes to full at this distance from them."""
-    erode_px: float = 1.5
-    """So many pixels along silhouettes hold some background and are not read at all."""
-    jump_mm: float = 4.0
-    """Neighbouring depths farther apart (and than eight pixels' width) are a silhouette."""
-    bias_mm: float = 0.4
-    """A texel this far behind the z-buffer still counts as seen ..."""
-    bias_px: float = 1.5
-    """... and so many pixels of the surface's own slope more."""
-    least_cos: float = 0.15
-    """Views from flatter than this show nothing usable."""
-    doubt_deg: float = 25.0
-    """Where a view's normal is farther than this from the mesh's, its maps count less ..."""
-    disbelief_deg: float = 50.0
-    """... and not at all from here on: it was solved on a wrong surface."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,6 +16,7 @@ from lightstage.errors import ConfigError, DiskFullError, FormatError, Lightstag
 from lightstage.formats.access import group_of, limited_access
 from lightstage.formats.consents import require_consents
 from lightstage.formats.template import default_template_path
+from processing.atlas.config import AtlasConfig
 from processing.errors import ProcessingError
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def batch_command(
     ),
     until: str = typer.Option("atlas", "--until", help="The last stage to run."),
     atlas_rows: int | None = typer.Option(
-        None, "--atlas-rows", min=6, help="Atlas height in texels [6144]."
+        None, "--atlas-rows", min=6, help=f"Atlas height in texels [{AtlasConfig.rows}]."
     ),
     workers: str = typer.Option(
         "auto",

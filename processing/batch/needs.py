@@ -12,6 +12,8 @@ from processing.parallel import cores
 GIB = 2**30
 SMALL_MP, LARGE_MP = 0.0864, 24.2
 """Megapixels of a photograph at which the two columns of `PEAK_GIB` were measured."""
+MEASURED_ROWS = 6144
+"""Rows of the atlas in the measurements of the large photographs: the default."""
 PEAK_GIB: Mapping[str, tuple[float, float]] = {
     "decode": (0.37, 0.76),
     "separate": (0.47, 3.78),
@@ -21,8 +23,8 @@ PEAK_GIB: Mapping[str, tuple[float, float]] = {
     "atlas": (0.98, 6.55),
 }
 """Peak memory of a stage. The second column is benchmarks/RESULTS.md's session of nine views of 24
-megapixels with an atlas of 6144 rows; the first a session of three views of 240 x 360 with one of
-96 rows, whose peak is the compiler's and the libraries'."""
+megapixels with an atlas of `MEASURED_ROWS`; the first a session of three views of 240 x 360 with
+one of 96 rows, whose peak is the compiler's and the libraries'."""
 SECONDS: Mapping[str, tuple[float, float]] = {
     "decode": (1.0, 25.0),
     "separate": (1.0, 34.0),

@@ -7,12 +7,11 @@ scan's points are matched as well, and a turned normal counts as a distance.
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from scipy.spatial import cKDTree
 
 from lightstage.formats.mesh import vertex_normals
+from processing.registration.config import BothWaysConfig
 from processing.registration.plate import Springs
 from processing.registration.target import Target
 
@@ -22,24 +21,6 @@ LATTICE = np.array(
 )
 LATTICE /= _SIDES
 """(15, 3) weights of a triangle's corners: its points to which the scan's points are matched."""
-
-
-@dataclasses.dataclass(frozen=True)
-class BothWaysConfig:
-    """How closest points are sought and believed."""
-
-    from_mm: float = 25.0
-    """Stiffnesses of at most this match both ways."""
-    radian_mm: tuple[float, float] = (3.0, 12.0)
-    """A turn of the normal by a radian counts like so many mm: like the stiffness, within these."""
-    least_mm: float = 4.0
-    """A match farther than the stiffness and than this does not count ..."""
-    normal_deg: float = 75.0
-    """... nor one whose normal is farther than this."""
-    hold: float = 0.1
-    """A match holds its vertex along the surface with this share of its pull onto it."""
-    around_mm: float = 12.0
-    """The scan's points within this of the mesh's part are matched; skin around is drawn alike."""
 
 
 class BothWays:

@@ -17,7 +17,8 @@ from scipy.spatial import cKDTree
 from lightstage.formats.mesh import Mesh, connected, directed_edges, vertex_normals
 from processing.errors import RegistrationError
 from processing.registration.both_ways import vertex_areas
-from processing.registration.plate import Plate, PlateConfig, Springs
+from processing.registration.config import EarConfig, PlateConfig
+from processing.registration.plate import Plate, Springs
 from processing.registration.rigid import Similarity, umeyama
 from processing.registration.target import Target
 
@@ -27,30 +28,6 @@ LEAST_VERTICES = 8
 BLEND_STIFFNESS_MM = 5.0
 """Stiffness of the plate between an ear that was moved and skin that was not, both held this hard.
 """
-
-
-@dataclasses.dataclass(frozen=True)
-class EarConfig:
-    """How ears are found and believed."""
-
-    sought: bool = True
-    """Whether ears are searched for at all."""
-    stands_off_mm: float = 4.0
-    """What is farther from the skin without ears is an ear's."""
-    reach: float = 1.5
-    """It is sought within so many times the ear's size around its centre."""
-    least_points: int = 50
-    radian_mm: float = 15.0
-    """In the search for closest points a turn of the normal by a radian counts like so many mm."""
-    rounds: int = 30
-    points: int = 2000
-    """Of the scan's ear that are used; more add time and no information."""
-    size: tuple[float, float] = (0.6, 1.5)
-    """An ear outside these sizes against the template's is no ear ..."""
-    residual_share: float = 0.25
-    """... nor one that fits worse than this share of its size (median)."""
-    blend_mm: float = 35.0
-    """Skin within this of an ear that is moved to its place makes room for it."""
 
 
 def find_ears(

@@ -8,32 +8,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lightstage.formats.mesh import vertex_normals
+from processing.registration.config import GateConfig
 from processing.registration.target import Closest, Target, border_vertices
-
-
-@dataclasses.dataclass(frozen=True)
-class GateConfig:
-    """What is believed."""
-
-    share: float = 0.7
-    """A closest point farther than this share of the stiffness does not count."""
-    least_mm: float = 3.0
-    far_share: float = 0.7
-    """... nor than this share of the way to the nearest landmark: pose and coarse stiffnesses bring
-    what is far from all of them, the neck, only roughly to its place."""
-    normal_deg: float = 60.0
-    """Nor does one whose normal is farther than this from the vertex's."""
-    unmoved_mm: float = 0.02
-    """A vertex that moved no farther since its closest point was found keeps it: its tangent plane
-    is the same within a micrometre."""
-    borders: bool = True
-    """The mesh's open borders (neck, lids) follow those of the scan that are nearest to them ..."""
-    border_share: float = 1.0
-    """... if not farther than this share of the stiffness, and nearest to the mesh's border too,
-    give or take as much: a scan that ends well before the mesh does ends in the middle of it."""
-    cavity_sky: float = 0.08
-    """A vertex inside mouth, nose or ear follows only what sees less of the sky than this: what
-    photographs show there is lips and lids closed over it."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from lightstage.formats.mesh import vertex_normals
 from lightstage.formats.template import Template
+from processing.registration.config import ModesConfig
 from processing.registration.rigid import Similarity
 from processing.registration.target import Target
 
@@ -18,25 +19,6 @@ MOST_POINTS = 4000
 """Surface points used a round; more add time and no information."""
 SETTLED = 1e-3
 """A round that changes nothing by more (radians, mm, log scale, deviations) is the last."""
-
-
-@dataclasses.dataclass(frozen=True)
-class ModesConfig:
-    """The model fit's settings."""
-
-    iterations: int = 20
-    landmark_sigma_mm: float = 3.0
-    landmark_robust_mm: float = 20.0
-    """A landmark this far away pulls a quarter as strongly as by its distance."""
-    surface_sigma_mm: float = 3.0
-    surface_samples: int = 150
-    """The surface counts like so many independent points; its neighbours are not independent."""
-    largest_identity: float = 2.5
-    """Standard deviations. Expressions are kept within 0 and 1."""
-    expression_sigma: float = 0.3
-    scale_sigma: float = 0.05
-    gate_mm: float = 20.0
-    normal_gate_deg: float = 50.0
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,70 +12,14 @@ import dataclasses
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
-from processing.registration.both_ways import BothWays, BothWaysConfig
+from processing.registration.both_ways import BothWays
 from processing.registration.coarse import coarsened
+from processing.registration.config import NonrigidConfig
 from processing.registration.flips import Faults, corners_of, grown, mend
-from processing.registration.matches import GateConfig, Matches
-from processing.registration.plate import Plate, PlateConfig, Springs, contradicted
+from processing.registration.matches import Matches
+from processing.registration.plate import Plate, Springs, contradicted
 from processing.registration.sheet import Sheet
 from processing.registration.target import Target
-
-
-@dataclasses.dataclass(frozen=True)
-class NonrigidConfig:
-    """Non-rigid ICP's settings."""
-
-    stiffness_mm: tuple[float, ...] = (150.0, 80.0, 40.0, 20.0, 10.0, 5.0, 2.5, 1.2, 0.5)
-    """Annealed: details of the displacement shorter than about 2 pi times this are suppressed."""
-    noise_times: float = 6.0
-    """Stiffnesses below so many times the scan's noise would copy it and are left out."""
-    iterations: int = 2
-    """Closest-point rounds per stiffness, at most."""
-    still_mm: float = 0.05
-    """A round that moves no vertex farther ends its stiffness."""
-    coarse_cell_mm: float = 5.0
-    """Vertices within cells of this size are one at stiffnesses of `coarse_above_mm` or more; 0
-    uses the whole template everywhere."""
-    coarse_above_mm: float = 8.0
-    hold: float = 0.03
-    """A match holds its vertex along the surface with this share of its pull onto it."""
-    settled_below_mm: float = 41.0
-    """Below this stiffness what has no match is held where it is with that share as well: coarse
-    stiffnesses have put it there, and fine ones would let it creep."""
-    landmark_pull: float = 50.0
-    """A landmark pulls so many times as hard as the plate resists: a point on a thin plate that
-    rests on springs is held by 8 l^2, so the pull follows the stiffness l down."""
-    fine_pull: float = 2.0
-    """The same where the stiffness is below the size of a landmark's own error ..."""
-    fine_mm: float = 12.0
-    """... and there only along the surface, which the scan knows better."""
-    contradicted_mm: float = 4.0
-    """A landmark is left out if all others predict it elsewhere by more than this ..."""
-    contradicted_times: float = 6.0
-    """... and by so many times what is usual among them ..."""
-    off_surface_mm: float = 1.5
-    """... or if it hovers farther from the scan than this ..."""
-    off_surface_times: float = 5.0
-    """... and than so many times their median."""
-    intricate_stiffness_mm: float = 1.2
-    """Ears that were not found as wholes stop following below this."""
-    yield_times: float = 1 / 16
-    """Where it folds, the scan pulls so many times as hard from then on: as if the plate were twice
-    as stiff there, since its resistance grows with the fourth power of the stiffness."""
-    unfold_rounds: int = 5
-    """At most so many further rounds undo folds and crossings at the last stiffness."""
-    mend_rounds: int = 20
-    """At most so often are places that still fold or cross smoothed and checked again."""
-    gate: GateConfig = dataclasses.field(default_factory=GateConfig)
-    both_ways: BothWaysConfig = dataclasses.field(default_factory=BothWaysConfig)
-    plate: PlateConfig = dataclasses.field(default_factory=PlateConfig)
-
-    def down_to(self, stiffness_mm: float) -> NonrigidConfig:
-        """The same with the stiffnesses of at least this, or the first; no unfolding."""
-        some = tuple(size for size in self.stiffness_mm if size >= stiffness_mm)
-        return dataclasses.replace(
-            self, stiffness_mm=some or self.stiffness_mm[:1], unfold_rounds=0, mend_rounds=0
-        )
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,19 +14,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from processing.errors import RegistrationError
 from processing.laplacian import cotangent_laplacian, tie_components
-
-
-@dataclasses.dataclass(frozen=True)
-class PlateConfig:
-    """The energy and its solver."""
-
-    stretch_share: float = 0.02
-    """Weight of first against second derivatives. First ones would hold the skin back where it
-    slides, so they are only strong enough to keep unseen parts from running away."""
-    iterations: int = 30
-    """Conjugate gradients a round, at most."""
-    settled_mm: float = 0.003
-    """A step that moves no vertex farther ends a solve."""
+from processing.registration.config import PlateConfig
 
 
 @dataclasses.dataclass

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from processing.registration.coarse import Coarse
-from processing.registration.matches import GateConfig, Matcher
-from processing.registration.plate import Plate, PlateConfig, Springs
+from processing.registration.config import GateConfig, PlateConfig
+from processing.registration.matches import Matcher
+from processing.registration.plate import Plate, Springs
 from processing.registration.target import Target
 
 

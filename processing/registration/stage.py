@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +23,12 @@ from processing.errors import RegistrationError
 from processing.frames.read import read_frames
 from processing.rays import MeshRays
 from processing.registration.areas import areas_of
-from processing.registration.ears import EarConfig, ears_in_place, find_ears
+from processing.registration.config import NonrigidConfig, RegisterConfig
+from processing.registration.ears import ears_in_place, find_ears
 from processing.registration.flips import against_scan
 from processing.registration.landmarks import triangulate
-from processing.registration.modes import ModesConfig, fit_modes
-from processing.registration.nonrigid import Fit, NonrigidConfig, fit_nonrigid
+from processing.registration.modes import fit_modes
+from processing.registration.nonrigid import Fit, fit_nonrigid
 from processing.registration.providers import (
     ClickedLandmarks,
     CommandLandmarks,
@@ -47,30 +47,6 @@ CLICK = (
 DETECTOR = "detector"
 ENOUGH_FACES = 100_000
 """A mesh that was split for its finest relief is taken as it was before, where it had so many."""
-
-
-@dataclasses.dataclass(frozen=True)
-class RegisterConfig:
-    """Registration's settings."""
-
-    landmark_command: str = ""
-    """A program that finds the landmarks in the views' albedo, in place of landmarks.json and of
-    our own detector; see `providers`."""
-    click_agree_mm: float = 2.5
-    """How far a click's ray may pass from its landmark; farther ones are left out and named."""
-    detected_agree_mm: float = 5.0
-    """The same for our own detector, which no view contradicts as surely as a person's click."""
-    landmark_outlier_mm: float = 18.0
-    """A landmark this far from the fitted shape model, with no neighbour alike, is left out."""
-    least_open_sky: float = 0.08
-    """Vertices that see less than this share of all directions follow cavities of the scan only."""
-    quiet_rounds: int = 2
-    """So often is what alternates from vertex to vertex of the scan, its noise, taken down."""
-    modes: ModesConfig = dataclasses.field(default_factory=ModesConfig)
-    nonrigid: NonrigidConfig = dataclasses.field(default_factory=NonrigidConfig)
-    ears: EarConfig = dataclasses.field(default_factory=EarConfig)
-    ears_after_mm: float = 20.0
-    """Ears are searched for when all but them was fitted with stiffnesses down to this."""
 
 
 def register(

@@ -18,8 +18,9 @@ from lightstage.formats.fields import Fields
 from lightstage.formats.files import read_json
 from lightstage.formats.mesh import Mesh, connected, directed_edges, vertex_normals
 from lightstage.formats.template import REGIONS, Template
+from processing.registration.config import RegisterConfig
 from processing.registration.flips import grown
-from processing.registration.stage import RegisterConfig, open_to_sky, register_mesh
+from processing.registration.stage import open_to_sky, register_mesh
 from processing.template.config import ImportConfig
 
 EYES = (slice(36, 42), slice(42, 48))

@@ -20,7 +20,8 @@ from lightstage.formats.template import Template
 from processing.atlas.finish import gutter_sources
 from processing.atlas.raster import Raster, rasterise, texel_size_mm
 from processing.atlas.tangents import from_tangent_space, tangent_frames, to_tangent_space
-from processing.registration.stage import RegisterConfig, register_mesh
+from processing.registration.config import RegisterConfig
+from processing.registration.stage import register_mesh
 from processing.template.config import TransferConfig
 from processing.template.correspond import Surface, carried_vertices
 from processing.template.regions import joined_to

@@ -27,11 +27,11 @@ from lightstage.formats.mesh import Mesh, read_obj
 from lightstage.formats.png import write_png
 from lightstage.session import check_pseudonym
 from sim.errors import SimError
+from sim.light.facets import DISTRIBUTIONS
 from sim.people.subject import Subject
 
 SCHEMA = "lightstage.subject/1"
 MARKER = "subject.json"
-DISTRIBUTIONS = ("beckmann", "ggx")
 
 # Channels, and the least and largest value of each map.
 _MAPS = {

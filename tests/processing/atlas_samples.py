@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from processing.atlas.blend import BlendConfig, Blender
+from processing.atlas.blend import Blender
+from processing.atlas.config import BlendConfig, WeightConfig
 from processing.atlas.sampling import Reading, readable, room, side_by_side
-from processing.atlas.weights import Sampler, ViewSamples, WeightConfig
+from processing.atlas.weights import Sampler, ViewSamples
 
 
 def look(cam, mesh, texels, measured, *, confidence=None, mask=None, finest=1.0):

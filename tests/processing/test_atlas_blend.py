@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from lightstage.formats.mesh import vertex_normals
-from processing.atlas.blend import BlendConfig
+from processing.atlas.config import BlendConfig
 from processing.atlas.sampling import SHARPNESS, low_band, room, side_by_side
 from processing.atlas.visibility import depth_buffer, silhouette_distance
 from processing.atlas.weights import Texels

@@ -9,9 +9,10 @@ import pytest
 
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import Template, default_template_path, load_template
+from processing.atlas.config import AtlasConfig
 from processing.atlas.geometry import Geometry
 from processing.atlas.skin import skin_vertices
-from processing.atlas.stage import AtlasConfig, atlas
+from processing.atlas.stage import atlas
 from processing.dataset import build_store, open_store
 from tests.processing.test_atlas_stage import capture
 

@@ -8,7 +8,8 @@ from lightstage.formats.mesh import vertex_normals, write_obj, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, SessionFile
 from lightstage.rig import Light, Rig
-from processing.atlas.stage import AtlasConfig, atlas
+from processing.atlas.config import AtlasConfig
+from processing.atlas.stage import atlas
 from processing.errors import AtlasError
 from processing.rays import MeshRays, interpolate
 from processing.registration.target import Target

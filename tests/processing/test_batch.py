@@ -20,6 +20,7 @@ from benchmarks.folders import differences, holder
 from lightstage.errors import FormatError, MemoryLimitError
 from lightstage.formats.lock import locked
 from lightstage.formats.template import default_template_path
+from processing.atlas.config import AtlasConfig
 from processing.batch import needs, work
 from processing.pipeline import PipelineConfig, run
 from processing.records import RUN_LOCK, code_version, hash_folder
@@ -200,6 +201,7 @@ def test_a_disk_that_fills_up_in_the_middle_stops_cleanly_and_goes_on_after(
 
 def test_memory_decides_how_many_workers_there_are() -> None:
     gib = needs.GIB
+    assert AtlasConfig.rows == needs.MEASURED_ROWS, "measure the memory again, and record it here"
     full = needs.peak_bytes(24.2)
     assert full == int(6.55 * gib)
     assert needs.peak_bytes(0.0864) == int(1.73 * gib)

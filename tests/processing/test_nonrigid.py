@@ -5,9 +5,10 @@ import pytest
 
 from lightstage.formats.mesh import Mesh, vertex_normals
 from processing.laplacian import cotangent_laplacian, neighbour_mean, tie_components
+from processing.registration.config import ModesConfig, NonrigidConfig
 from processing.registration.flips import Faults, crossing_triangles, folded_triangles, mend
-from processing.registration.modes import ModesConfig, fit_modes
-from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid
+from processing.registration.modes import fit_modes
+from processing.registration.nonrigid import fit_nonrigid
 from processing.registration.rigid import Similarity
 from processing.registration.target import Target, border_vertices
 from tests.processing.shapes import (

@@ -22,7 +22,7 @@ from processing.evaluation.folder import evaluate
 from processing.pipeline import PipelineConfig, run
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.stage import reconstruct_views
-from processing.registration.stage import RegisterConfig
+from processing.registration.config import RegisterConfig
 from processing.separation.choice import no_normals
 from sim.light.world import World
 from sim.session import SessionConfig, truth_path, write_direct

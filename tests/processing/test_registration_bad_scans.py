@@ -5,8 +5,8 @@ import pytest
 
 from lightstage.formats.mesh import Mesh
 from processing.errors import RegistrationError
-from processing.registration.nonrigid import NonrigidConfig
-from processing.registration.stage import RegisterConfig, register_mesh
+from processing.registration.config import NonrigidConfig, RegisterConfig
+from processing.registration.stage import register_mesh
 from processing.registration.start import first_pose, landmarks_unit
 from processing.registration.target import Target
 from tests.processing.shapes import ellipsoid, ellipsoid_template, refined, warp

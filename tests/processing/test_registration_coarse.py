@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from lightstage.formats.mesh import Mesh
 from processing.registration.coarse import coarsened
-from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid
+from processing.registration.config import NonrigidConfig
+from processing.registration.nonrigid import fit_nonrigid
 from processing.registration.target import Target, border_vertices
 from tests.processing.shapes import ellipsoid, ellipsoid_template, refined, warp
 

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 from lightstage.formats.mesh import Mesh
-from processing.registration.ears import EarConfig, ears_in_place, find_ears
+from processing.registration.config import EarConfig, NonrigidConfig, PlateConfig, RegisterConfig
+from processing.registration.ears import ears_in_place, find_ears
 from processing.registration.flips import Faults
-from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid
-from processing.registration.plate import PlateConfig
-from processing.registration.stage import RegisterConfig, register_mesh
+from processing.registration.nonrigid import fit_nonrigid
+from processing.registration.stage import register_mesh
 from processing.registration.target import Target
 from tests.processing.shapes import RADII_MM, ellipsoid, ellipsoid_template, refined
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from lightstage.formats.mesh import Mesh
-from processing.registration.both_ways import BothWays, BothWaysConfig, vertex_areas
+from processing.registration.both_ways import BothWays, vertex_areas
+from processing.registration.config import BothWaysConfig, NonrigidConfig
 from processing.registration.flips import Faults, against_scan
-from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid
+from processing.registration.nonrigid import fit_nonrigid
 from processing.registration.plate import Springs
 from processing.registration.target import Target
 

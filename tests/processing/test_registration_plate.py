@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from lightstage.formats.mesh import Mesh
 from processing.laplacian import cotangent_laplacian
-from processing.registration.matches import GateConfig, Matcher
-from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid, hovering
-from processing.registration.plate import Plate, PlateConfig, Springs, contradicted
+from processing.registration.config import GateConfig, NonrigidConfig, PlateConfig
+from processing.registration.matches import Matcher
+from processing.registration.nonrigid import fit_nonrigid, hovering
+from processing.registration.plate import Plate, Springs, contradicted
 from processing.registration.target import Target
 from tests.processing.shapes import ellipsoid, ellipsoid_template, refined, warp
 

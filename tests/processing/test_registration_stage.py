@@ -16,14 +16,9 @@ from lightstage.formats.template import (
 )
 from lightstage.rig import Light, Rig
 from processing.errors import RegistrationError
+from processing.registration.config import RegisterConfig
 from processing.registration.rigid import Similarity
-from processing.registration.stage import (
-    RegisterConfig,
-    head_pose,
-    open_to_sky,
-    register,
-    register_mesh,
-)
+from processing.registration.stage import head_pose, open_to_sky, register, register_mesh
 from processing.registration.target import Target
 from tests.processing.shapes import camera, ellipsoid_template, refined, warp
 
