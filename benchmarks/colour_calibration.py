@@ -15,8 +15,9 @@ from benchmarks.record import record
 from lightstage.commands import quiet
 from lightstage.rig import default_rig
 from processing.calibration.colour.fit import ChartSample, ColourFitConfig, fit_colour
+from processing.calibration.config import CalibrateConfig
 from processing.calibration.folder import read_source
-from processing.calibration.stage import CalibrateConfig, calibrate
+from processing.calibration.stage import calibrate
 from processing.colour import ColourCorrection
 from processing.colour_difference import delta_e_2000, lab_from_linear
 from sim.camera.flaws import PRESETS

@@ -21,8 +21,8 @@ from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from processing.coarse_maps import write_as_views
-from processing.decode.preparation import PrepareConfig
-from processing.decode.stage import DecodeConfig, decode
+from processing.decode.config import DecodeConfig, PrepareConfig
+from processing.decode.stage import decode
 from processing.refinement.stage import refine
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate

@@ -23,7 +23,8 @@ from benchmarks.reflectance_people import person, session
 from lightstage.formats.mesh import read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
-from processing.decode.stage import DecodeConfig, decode
+from processing.decode.config import DecodeConfig
+from processing.decode.stage import decode
 from processing.frames.read import Frames, read_foreground, read_frames
 from processing.lighting.lights import pattern_lights
 from processing.refinement.config import RefineConfig

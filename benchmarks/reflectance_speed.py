@@ -33,7 +33,8 @@ from benchmarks.reflectance_refine_parts import refine_parts
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
 from processing.coarse_maps import write_as_view, write_coarse
-from processing.decode.stage import DecodeConfig, decode
+from processing.decode.config import DecodeConfig
+from processing.decode.stage import decode
 from processing.frames.read import read_foreground, read_frames, write_foreground
 from processing.lighting.lights import pattern_lights
 from processing.parallel import over_views, workers

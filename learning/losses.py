@@ -1,4 +1,7 @@
-"""Losses of the generator beside the adversarial ones."""
+"""Losses of the patch networks' generator beside the adversarial ones.
+
+Those of whole faces are in whole/train.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Diffuse and specular albedo from what a pixel reads, once its light is known."""
+"""Diffuse and specular albedo from what a pixel reads, once its light is known.
+
+It is no method of separation: those are in separation/, listed in separation/choice.py.
+"""
 
 from __future__ import annotations
 

@@ -21,7 +21,8 @@ from processing.atlas.config import AtlasConfig
 from processing.atlas.stage import atlas
 from processing.coarse_maps import has_coarse, write_as_views
 from processing.decode.completing import unmendable_frames, with_complements
-from processing.decode.stage import DecodeConfig, decode, lit_patterns
+from processing.decode.config import DecodeConfig
+from processing.decode.stage import decode, lit_patterns
 from processing.errors import ProcessingError
 from processing.pages import lacks_head, write_processed_report
 from processing.reconstruction.given import require_given

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import glob
 import itertools
 import re
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 from tests.programs import Ended, run_program
@@ -72,6 +74,73 @@ def broken_links(page: Path) -> list[str]:
         if not target.exists() or (anchor and anchor not in anchors(target.read_text())):
             broken.append(link)
     return broken
+
+
+def missing_paths(text: str) -> list[str]:
+    """Files and folders that a page names in code and that are not there.
+
+    Names are from the root, or from `processing` where the section is that package's. In a table's
+    row they may also be in a folder of its first cell, or in one around it.
+    """
+    missing = []
+    inside = ROOT
+    for line in without_code(text).splitlines():
+        if line.startswith("## "):
+            inside = ROOT / "processing" if line == "## Inside `processing`" else ROOT
+        around = [ROOT, inside]
+        if line.startswith("|"):
+            for name in _paths(line.split("|")[1]):
+                found = next((each for folder in around for each in folder.glob(name)), ROOT)
+                around += [each for each in (found, *found.parents) if ROOT in each.parents]
+        missing += [name for name in _paths(line) if not any(any(f.glob(name)) for f in around)]
+    return missing
+
+
+def _paths(text: str) -> list[str]:
+    return re.findall(r"`([a-z0-9_./*]+(?:/|\.py|\.html))`", text)
+
+
+def named_symbols(text: str) -> list[tuple[str, str]]:
+    """File and name, wherever a page names both in code: "`FILE` (`NAME`, `NAME`)", "`NAME` and
+    `NAME` (`FILE`)", or "`NAME` of `FILE`", or "in".
+    """
+    names, file = r"((?:`[\w.]+`(?:, | and | or )?)+)", r"`([\w/]+\.py)`"
+    text = " ".join(text.split())
+    after = re.findall(rf"{file} \({names}", text)
+    before = re.findall(rf"{names} (?:\(|in |of ){file}", text)
+    pairs = [*after, *((path, named) for named, path in before)]
+    return [
+        (path, name)
+        for path, named in pairs
+        for name in re.findall(r"`([\w.]+)`", named)
+        if not name.endswith(".py")
+    ]
+
+
+def defined(path: Path) -> set[str]:
+    """Names that a Python file defines at its head, and ``Class.name`` of its classes' members."""
+    tree = ast.parse(path.read_text())
+    names = _of(tree.body)
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef):
+            names |= {f"{node.name}.{name}" for name in _of(node.body)}
+    return names
+
+
+def _of(body: Sequence[ast.stmt]) -> set[str]:
+    names = set()
+    for node in body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            names.add(node.name)
+        targets = [node.target] if isinstance(node, ast.AnnAssign) else getattr(node, "targets", [])
+        names |= {target.id for target in targets if isinstance(target, ast.Name)}
+    return names
+
+
+def drawn_layers(text: str, heading: str) -> list[set[str]]:
+    """The first drawing of layers after some words: each line's names, without its bracket."""
+    drawing = text.split(heading)[1].split("```")[1]
+    return [set(line.split("(")[0].split()) for line in drawing.strip("\n").splitlines()]
 
 
 def run_as_written(command: str, folder: Path) -> Ended:

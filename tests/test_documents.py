@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 import shlex
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,6 +21,10 @@ from tests.documents import (
     blocks,
     broken_links,
     commands,
+    defined,
+    drawn_layers,
+    missing_paths,
+    named_symbols,
     options,
     run_as_written,
     table_code,
@@ -27,6 +33,9 @@ from tests.processing.releases import ABOUT_FILE
 
 README = (ROOT / "README.md").read_text()
 DATASET = (ROOT / "docs" / "dataset.md").read_text()
+ARCHITECTURE = (ROOT / "ARCHITECTURE.md").read_text()
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+CONTRACTS = PYPROJECT["tool"]["importlinter"]["contracts"]
 PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), ROOT / "firmware" / "README.md"]
 PEOPLE = ("person-0000", "person-0001", "person-0002")
 
@@ -53,6 +62,55 @@ def test_links_to_a_missing_file_or_heading_are_found(tmp_path: Path) -> None:
         "[5](#twice-2) [6](#code) ![7](gone.jpg) [8](page.md#tit)\n"
     )
     assert broken_links(page) == ["#twice-2", "#code", "gone.jpg", "page.md#tit"]
+
+
+@pytest.mark.parametrize("page", ["README.md", "ARCHITECTURE.md"])
+def test_every_file_and_name_that_shows_where_something_is_is_there(page: str) -> None:
+    text = (ROOT / page).read_text()
+    assert missing_paths(text) == []
+    symbols = named_symbols(text)
+    assert len(symbols) > 15
+    assert [each for each in symbols if each[1] not in defined(ROOT / each[0])] == []
+
+
+def test_a_file_or_name_that_is_not_there_is_found() -> None:
+    page = (
+        "`processing/gone.py` and `tests/documents.py` (`ROOT`, `gone`)\n\n"
+        "| `lightstage/leds/`, `rig/` | `address.py`, `gone_*.py`, `wire*.py`, `gone/` |\n"
+    )
+    assert missing_paths(page) == ["processing/gone.py", "gone_*.py", "gone/"]
+    assert named_symbols(page) == [("tests/documents.py", "ROOT"), ("tests/documents.py", "gone")]
+    assert {"ROOT", "anchors"} < defined(ROOT / "tests" / "documents.py")
+    assert "gone" not in defined(ROOT / "tests" / "documents.py")
+    assert "AtlasConfig.rows" in defined(ROOT / "processing" / "atlas" / "config.py")
+
+
+@pytest.mark.parametrize(
+    ("heading", "contract", "prefix"),
+    [
+        ("Within `lightstage`", "lightstage's capture side", "lightstage."),
+        ("## Inside `processing`", "processing's layers", ""),
+    ],
+)
+def test_the_drawings_of_layers_are_the_contracts_of_imports(
+    heading: str, contract: str, prefix: str
+) -> None:
+    (layers,) = [c["layers"] for c in CONTRACTS if c["name"].startswith(contract)]
+    wanted = [{each.removeprefix(prefix) for each in layer.split(" | ")} for layer in layers]
+    assert drawn_layers(ARCHITECTURE, heading) == wanted
+
+
+def test_the_table_of_what_learning_may_import_is_its_contract() -> None:
+    (rules,) = [c["ignore_imports"] for c in CONTRACTS if "independence" in c["type"]]
+    allowed = {tuple(rule.split(" -> ")) for rule in rules}
+    rows = ARCHITECTURE.split("| package of `learning` |")[1].split("\n\n")[0].splitlines()[2:]
+    stated = set()
+    for row in rows:
+        package, modules = row.strip("|").split("|")
+        source = "learning" if package.strip() == "all" else f"learning.{package.strip(' `')}"
+        stated |= {(source, f"processing.{m}") for m in re.findall("`([^`]+)`", modules)}
+    shortened = {(a.removesuffix(".**").removesuffix(".uv"), b) for a, b in allowed}
+    assert stated == shortened
 
 
 def test_every_command_of_the_readmes_steps_begins_with_a_programs_name() -> None:
@@ -152,8 +210,6 @@ def test_every_command_of_the_learning_page_has_the_options_that_it_is_given(com
 
 
 def test_the_configuration_of_the_learning_page_is_taken_as_written() -> None:
-    import tomllib
-
     from learning.presets import preset
     from learning.whole.config import WholeTrainConfig
 

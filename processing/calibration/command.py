@@ -25,9 +25,9 @@ def calibrate_command(
 ) -> None:
     """Colours, flats and black level of every camera, and lamps, from photographed targets."""
     from lightstage.formats.config import make_config, read_toml
+    from processing.calibration.config import CalibrateConfig
     from processing.calibration.folder import read_source
     from processing.calibration.output import headline, make_calibration
-    from processing.calibration.stage import CalibrateConfig
 
     values = {} if config is None else read_toml(config)
     settings = make_config(CalibrateConfig, values, "defaults" if config is None else config)

@@ -20,8 +20,9 @@ from lightstage.formats.png import write_png
 from processing.calibration.colour.chart import COLUMNS, ROWS
 from processing.calibration.colour.chart_reference import chart_reflectance
 from processing.calibration.colour.fit import ColourFit
+from processing.calibration.config import CalibrateConfig
 from processing.calibration.folder import Source
-from processing.calibration.stage import CalibrateConfig, Calibration, calibrate
+from processing.calibration.stage import Calibration, calibrate
 from processing.colour import SCHEMA as COLOUR_SCHEMA
 from processing.colour import ColourCorrection, srgb_from_linear
 from processing.raw.flat_file import write_flats

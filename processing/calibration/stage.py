@@ -14,7 +14,6 @@ from lightstage.formats.lights import MeasuredLights
 from lightstage.rig import Rig
 from processing.calibration.ball import ball_shots
 from processing.calibration.colour.all_cameras import (
-    ChartConfig,
     Seen,
     check_grey,
     fit_colours,
@@ -23,10 +22,10 @@ from processing.calibration.colour.all_cameras import (
 from processing.calibration.colour.chart_reference import chart_reflectance
 from processing.calibration.colour.fit import ColourFit, ColourFitConfig
 from processing.calibration.colour.flats import FlatConfig, fit_flat, read_darks
-from processing.calibration.colour.grey import GreyConfig
 from processing.calibration.colour.white import white_at
+from processing.calibration.config import CalibrateConfig
 from processing.calibration.folder import Pose, Source
-from processing.calibration.lights.fit import LightsConfig, fit_lights
+from processing.calibration.lights.fit import fit_lights
 from processing.calibration.picture import read_mosaic
 from processing.colour import ColourCorrection
 from processing.errors import ProcessingError
@@ -35,17 +34,6 @@ from processing.raw.flat_file import FlatField
 BALLS = ("mirror", "grey")
 GREY_WARNED = 0.03
 """A grey ball that reads farther from its reflectance is warned of, as a share."""
-
-
-@dataclasses.dataclass(frozen=True)
-class CalibrateConfig:
-    """Settings of `calibrate`; a table of its TOML file each."""
-
-    chart: ChartConfig = dataclasses.field(default_factory=ChartConfig)
-    colour: ColourFitConfig = dataclasses.field(default_factory=ColourFitConfig)
-    flat: FlatConfig = dataclasses.field(default_factory=FlatConfig)
-    grey: GreyConfig = dataclasses.field(default_factory=GreyConfig)
-    lights: LightsConfig = dataclasses.field(default_factory=LightsConfig)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,7 +6,8 @@
       scans/SCAN/shards.json    SHA-256 of each file of the scan
 
 A chunk is what one read decodes, a shard what one file holds: a random 512 patch costs four to
-nine chunks whatever the map's size, and 6144 x 4096 makes six files a map.
+nine chunks whatever the map's size, and 6144 x 4096 makes six files a map. scan.py has
+the fields of a scan (`ScanEntry`) and the maps of a store (`CHANNELS`).
 """
 
 from __future__ import annotations

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from lightstage.errors import LightstageError, one_error
 from lightstage.formats.session import Session
 from lightstage.formats.sums import Balance, axes_alike, sum_fault
 from processing.decode.completing import Pair, Recipe, fill, pairs_of
+from processing.decode.config import PrepareConfig
 from processing.decode.diagnosis import Diagnosis, write_diagnosis
 from processing.decode.subject_motion import Flow, solve_pair, warp
 from processing.decode.sums import (
@@ -32,26 +32,6 @@ ALIKE = 0.5
 FORCE = "--force continues, with photographs that contradict each other."
 WARN_AMBIENT, WARN_APART = 0.01, 0.01
 """Shares of full above which the report warns."""
-
-
-@dataclasses.dataclass(frozen=True)
-class PrepareConfig:
-    """Settings of the checks of a view's photographs."""
-
-    forced: bool = False
-    """Use photographs that do not add up as their patterns do."""
-    cells_per_mm: float = 2.0
-    """Of the small pictures in which motion and light are measured."""
-    still_px: float = 0.25
-    """A photograph displaced by less (root mean square) is left as it is."""
-    least_explained: float = 0.15
-    """Share of what a pair leaves over that a displacement must take away to be believed."""
-    least_flicker: float = 0.01
-    """A photograph brighter or darker than the others by more is evened out."""
-    least_ambient: float = 0.003
-    """Ambient light above this share of full is taken off, where all pairs show it alike."""
-    ambient_sigma_mm: float = 3.0
-    """Over which ambient light is smoothed, as a share of full."""
 
 
 def prepare_view(

@@ -17,18 +17,14 @@ from lightstage.formats.scale import raw_scale
 from lightstage.formats.session import Session
 from lightstage.formats.sums import UNCHECKED, has_gradient
 from processing.decode.completing import Recipe, completed_in_words, missing_patterns
+from processing.decode.config import DecodeConfig, PrepareConfig
 from processing.decode.files import (
     CameraJob,
     Look,
     fill_draft,
     first_look,
 )
-from processing.decode.preparation import (
-    PrepareConfig,
-    cell_px,
-    prepare_view,
-    prepare_warnings,
-)
+from processing.decode.preparation import cell_px, prepare_view, prepare_warnings
 from processing.decode.session_photographs import (
     exposure_factors,
     read_calibrations,
@@ -42,24 +38,6 @@ from processing.frames.window import Window, whole
 from processing.masks import view_foreground
 from processing.raw.region import mesh_window
 from processing.readings import px_per_mm
-
-
-@dataclasses.dataclass(frozen=True)
-class DecodeConfig:
-    """Settings of `decode`."""
-
-    clip_share: float = 0.99
-    """Counts of at least this share of the white level are clipped."""
-    foreground_share: float = 0.03
-    """Foreground is brighter than this share of the picture's 99th percentile."""
-    crop: bool = True
-    """Develop only the window that holds the face, not the whole picture."""
-    mesh: str = ""
-    """PLY file of this head as it sat, such as an earlier run's base mesh: only what it covers,
-    and `mesh_margin_mm` around it, is developed. None where empty."""
-    mesh_margin_mm: float = 25.0
-    prepare: PrepareConfig = dataclasses.field(default_factory=PrepareConfig)
-    """Motion, ambient light and flicker between the photographs."""
 
 
 @dataclasses.dataclass(frozen=True)

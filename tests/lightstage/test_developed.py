@@ -23,7 +23,8 @@ from lightstage.formats.session import load_session
 from lightstage.importing import find_photographs, import_session, named_cameras
 from lightstage.opening import open_photograph
 from lightstage.patterns import pattern_levels
-from processing.decode.stage import DecodeConfig, decode
+from processing.decode.config import DecodeConfig
+from processing.decode.stage import decode
 
 ADOBE = ((0.60974, 0.31111, 0.01947), (0.20528, 0.62567, 0.06087), (0.14919, 0.06322, 0.74457))
 """Adobe RGB's colorants under D50, as its profile has them."""

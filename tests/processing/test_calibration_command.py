@@ -21,11 +21,13 @@ from processing.__main__ import app
 from processing.calibration.ball import rays_through, sphere_hits
 from processing.calibration.colour.chart import chart_places_mm, find_chart
 from processing.calibration.colour.white import white_at
+from processing.calibration.config import CalibrateConfig
 from processing.calibration.folder import read_source
 from processing.calibration.picture import read_mosaic
-from processing.calibration.stage import CalibrateConfig, calibrate, lights_of
+from processing.calibration.stage import calibrate, lights_of
 from processing.colour import read_colour
-from processing.decode.stage import DecodeConfig, decode
+from processing.decode.config import DecodeConfig
+from processing.decode.stage import decode
 from processing.errors import ProcessingError
 from processing.frames.read import read_frames
 from processing.raw.flat_file import read_flats

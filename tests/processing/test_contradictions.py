@@ -15,8 +15,9 @@ from lightstage.formats.session import load_session
 from lightstage.formats.sums import UNCHECKED, axes_alike, sum_fault
 from lightstage.patterns import pattern_levels
 from processing.__main__ import app
-from processing.decode.preparation import PrepareConfig, prepare_warnings
-from processing.decode.stage import DecodeConfig, decode
+from processing.decode.config import DecodeConfig, PrepareConfig
+from processing.decode.preparation import prepare_warnings
+from processing.decode.stage import decode
 from processing.errors import ProcessingError
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate

@@ -17,9 +17,10 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.files import sha256_file
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.session import Session, load_session
+from processing.decode.config import DecodeConfig
 from processing.decode.files import CameraJob, lookers
 from processing.decode.session_photographs import Photograph
-from processing.decode.stage import DecodeConfig, decode
+from processing.decode.stage import decode
 from processing.errors import ProcessingError
 from processing.frames.drafts import BLUE, GREEN, NOT_A_NUMBER, RED
 from processing.frames.read import Frames, read_foreground, read_frames

@@ -26,7 +26,8 @@ from lightstage.formats.session import (
 )
 from lightstage.patterns import SEQUENCES, Drive, drive_levels
 from lightstage.rig import default_rig, save_rig
-from processing.decode.stage import DecodeConfig, decode
+from processing.decode.config import DecodeConfig
+from processing.decode.stage import decode
 from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
 from sim.devices.photographer import Photographer

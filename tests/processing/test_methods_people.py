@@ -15,7 +15,8 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
 from lightstage.rig import default_rig
 from processing.coarse_maps import write_as_views
-from processing.decode.stage import DecodeConfig, decode
+from processing.decode.config import DecodeConfig
+from processing.decode.stage import decode
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
 from sim.light.world import World

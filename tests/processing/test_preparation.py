@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 
 from lightstage.formats.session import Session, SessionFile
 from lightstage.patterns import SEQUENCES
+from processing.decode.config import PrepareConfig
 from processing.decode.diagnosis import read_diagnosis
 from processing.decode.diagnosis_page import grid, light_section, signed
-from processing.decode.preparation import PrepareConfig, prepare_view, prepare_warnings
+from processing.decode.preparation import prepare_view, prepare_warnings
 from processing.decode.subject_motion import Flow, monomials, solve_pair, warp
 from processing.frames.small import shrunk
 from processing.report import Picture, Table

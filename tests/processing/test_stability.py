@@ -20,7 +20,8 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
 from processing.albedo import diffuse_light, specular_evidence
 from processing.coarse_maps import write_as_views
-from processing.decode.stage import DecodeConfig, decode
+from processing.decode.config import DecodeConfig
+from processing.decode.stage import decode
 from processing.frames.read import Frames, read_frames, write_foreground, write_frames
 from processing.normals import chroma_signal, solve_normals
 from processing.refinement.config import RefineConfig

@@ -41,9 +41,9 @@ def locate_lights_command(
     """Which lamp each wire lights, from a mirror ball photographed light after light."""
     from lightstage.formats.config import make_config, read_toml
     from lightstage.rig import load_rig, save_rig
+    from processing.calibration.config import CalibrateConfig
     from processing.calibration.folder import read_source
     from processing.calibration.lights.wiring_shots import locate_lights
-    from processing.calibration.stage import CalibrateConfig
 
     values = {} if config is None else read_toml(config)
     settings = make_config(CalibrateConfig, values, "defaults" if config is None else config)
