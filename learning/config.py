@@ -23,7 +23,7 @@ class TrainingConfig(abc.ABC):
         seconds: seconds of training in one call, instead of the family's number of steps.
         learning_rate: learning rate of Adam.
         shading: formulas of the renderer for the training's pictures and losses: `paper` as
-            printed, `physical` or `ggx` (see learning.render.shading).
+            printed, `physical`, `ggx` or `dielectric` (docs/renderer.md).
         precision: precision of the network's steps: `bf16` computes in bfloat16 and keeps weights
             and losses in float32, where a CUDA GPU has it; `auto` is `bf16` there and `float32`
             elsewhere.

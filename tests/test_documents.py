@@ -7,6 +7,7 @@ import json
 import re
 import shlex
 import tomllib
+import typing
 from collections.abc import Callable
 from pathlib import Path
 
@@ -207,6 +208,22 @@ def test_the_datasets_page_explains_every_field_that_is_written_and_no_other(
 def test_every_command_of_the_learning_page_has_the_options_that_it_is_given(command: str) -> None:
     printed = help_of(*shlex.split(command)[:2])
     assert [option for option in sorted(options(command)) if option not in printed] == []
+
+
+def test_the_pages_name_every_family_of_networks_and_every_mode_of_shading() -> None:
+    from learning.render.occlusion_training import OcclusionTrainConfig
+    from learning.render.skin import Mode
+    from learning.train import TRAINERS
+
+    def row_of(page: str, field: str) -> str:
+        text = (ROOT / "docs" / page).read_text()
+        (row,) = [line for line in text.splitlines() if line.startswith(f"| `{field}` |")]
+        return row
+
+    named = set(re.findall(r"`(\w+)`", row_of("formats.md", "family")))
+    assert named == {"family", OcclusionTrainConfig.family, *TRAINERS}
+    named = set(re.findall(r"`(\w+)`", row_of("learning.md", "shading")))
+    assert named == {"shading", *typing.get_args(Mode)}
 
 
 def test_the_configuration_of_the_learning_page_is_taken_as_written() -> None:
