@@ -38,6 +38,7 @@ ARCHITECTURE = (ROOT / "ARCHITECTURE.md").read_text()
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 CONTRACTS = PYPROJECT["tool"]["importlinter"]["contracts"]
 PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), ROOT / "firmware" / "README.md"]
+WITHIN = "Within `lightstage`"
 PEOPLE = ("person-0000", "person-0001", "person-0002")
 
 
@@ -89,7 +90,7 @@ def test_a_file_or_name_that_is_not_there_is_found() -> None:
 @pytest.mark.parametrize(
     ("heading", "contract", "prefix"),
     [
-        ("Within `lightstage`", "lightstage's capture side", "lightstage."),
+        (WITHIN, "lightstage's capture side", "lightstage."),
         ("## Inside `processing`", "processing's layers", ""),
     ],
 )
@@ -99,6 +100,17 @@ def test_the_drawings_of_layers_are_the_contracts_of_imports(
     (layers,) = [c["layers"] for c in CONTRACTS if c["name"].startswith(contract)]
     wanted = [{each.removeprefix(prefix) for each in layer.split(" | ")} for layer in layers]
     assert drawn_layers(ARCHITECTURE, heading) == wanted
+
+
+def test_every_module_of_lightstage_is_of_the_floor_or_of_its_capture_side() -> None:
+    drawn = {name.split(".")[0] for line in drawn_layers(ARCHITECTURE, WITHIN) for name in line}
+    (floor,) = [c["source_modules"] for c in CONTRACTS if c["name"].startswith("the floor")]
+    (side,) = [c["forbidden_modules"] for c in CONTRACTS if c["name"].startswith("the floor")]
+    assert {module.removeprefix("lightstage.") for module in side} == drawn
+    found = [*(ROOT / "lightstage").glob("*.py"), *(ROOT / "lightstage").glob("*/__init__.py")]
+    names = {(path.parent if path.stem == "__init__" else path).stem for path in found}
+    inside = names - {"lightstage", "__main__"}
+    assert {module.removeprefix("lightstage.") for module in floor} == inside - drawn
 
 
 def test_the_table_of_what_learning_may_import_is_its_contract() -> None:
