@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import importlib
 import io
 import os
@@ -13,12 +14,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+import typer
 
 from lightstage.commands import run_app
 
 LONGEST_S = 400.0
 """A command that takes longer, compiling included, hangs: it is interrupted, so that its test fails
 and tells which."""
+_build = typer.main.get_command
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -43,11 +46,18 @@ def run_program(program: str, *words: Any, interrupt_s: float = LONGEST_S) -> En
     out, err = _text(), _text()
     with pytest.MonkeyPatch.context() as patch, _interrupted_after(interrupt_s):
         patch.setattr(sys, "argv", argv)
+        patch.setattr(typer.main, "get_command", _built_once)
         redirected = contextlib.redirect_stdout(out), contextlib.redirect_stderr(err)
         with redirected[0], redirected[1], pytest.raises(SystemExit) as ended:
             run_app(importlib.import_module(f"{program}.__main__").app)
     code = ended.value.code
     return Ended(code if isinstance(code, int) else 0, _said(out), _said(err))
+
+
+@functools.cache
+def _built_once(app: typer.Typer) -> Any:
+    """A program's commands and options: a process needs them once, the tests a thousand times."""
+    return _build(app)
 
 
 @contextlib.contextmanager
