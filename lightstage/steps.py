@@ -43,8 +43,6 @@ STEPS = (
 )
 """Steps in their order, as docs/capture.md has them."""
 
-_FILE = os.environ.get("LIGHTSTAGE_STOP_FILE")
-
 
 def step(name: str, pattern: str = "*", camera: str = "*") -> None:
     """Mark a step as done; stops the process where a test waits for it.
@@ -54,10 +52,11 @@ def step(name: str, pattern: str = "*", camera: str = "*") -> None:
         pattern: whose photograph, ``*`` where it is no matter of one.
         camera: whose photograph, ``*`` where it is no matter of one.
     """
-    if _FILE is None:
+    file = os.environ.get("LIGHTSTAGE_STOP_FILE")
+    if file is None:
         return
     assert name in STEPS, name
-    path = Path(_FILE)
+    path = Path(file)
     try:
         wanted = path.read_text().split()
     except OSError:

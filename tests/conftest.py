@@ -20,6 +20,7 @@ from lightstage.formats.mesh import Mesh
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
 from lightstage.interrupts import handlers_kept, interrupted, raise_on_signals
+from tests.forked import quickly
 from tests.programs import Ended, run_program
 from tests.slow import slow_files
 
@@ -164,3 +165,10 @@ def _write_processed(
         path / "report.json", {"subject": subject, "expression": expression, "consent": consent}
     )
     return path
+
+
+@pytest.fixture
+def forked() -> Iterator[None]:
+    """`python -m lightstage` is forked from a process that has imported it (tests.forked)."""
+    with quickly():
+        yield

@@ -21,6 +21,8 @@ from sim.devices.led_device import SETTLE_TIMEOUT_S
 from sim.devices.target_stage import TargetStage
 from tests.programs import run_program
 
+pytestmark = pytest.mark.usefixtures("forked")
+
 CONFIG = '[calibration]\nwanted = ["chart"]\n'
 
 

@@ -17,6 +17,8 @@ from lightstage.formats.files import sha256_file, write_json
 from lightstage.formats.session import load_session
 from lightstage.rig import Rig, rig_to_json, save_rig
 
+pytestmark = pytest.mark.usefixtures("forked")
+
 
 def arguments(stage, out, *more):
     return [

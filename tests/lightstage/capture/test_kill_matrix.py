@@ -14,6 +14,8 @@ from lightstage.steps import STEPS
 from sim.devices.kill_trial import DARK_S, KillTrial
 from sim.devices.kills import CAMERA_STEPS, DELETING, SEQUENCE, SESSION_STEPS, Kill, matrix
 
+pytestmark = pytest.mark.usefixtures("forked")
+
 PATTERNS = itertools.cycle(SEQUENCE)
 ONCE = [
     *(

@@ -13,6 +13,8 @@ from lightstage.preflight import require_known
 from lightstage.session.config import SessionConfig
 from tests.lightstage.capture.test_command import one_clear_message, run
 
+pytestmark = pytest.mark.usefixtures("forked")
+
 
 @pytest.fixture
 def open_umask():

@@ -14,6 +14,8 @@ from lightstage.formats.session import load_session
 from lightstage.operator.client import ask, follow
 from lightstage.resume_line import resume_line
 
+pytestmark = pytest.mark.usefixtures("forked")
+
 PATTERNS = ["full", "x+", "x-", "y+"]
 SEQUENCE = ("--sequence", ",".join(PATTERNS))
 

@@ -21,6 +21,8 @@ from lightstage.session import (
 )
 from lightstage.session.manifest import check_manifest, write_manifest
 
+pytestmark = pytest.mark.usefixtures("forked")
+
 FAULT = Finding("retake", "blur", "x+ by cam1", "blur", "sharp", pattern="x+", camera="cam1")
 OF_ALL = Finding("retake", "sum", "pattern x+", "too dark", "a sum", pattern="x+")
 

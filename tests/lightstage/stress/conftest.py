@@ -192,3 +192,8 @@ def tools():
     for each in (small_rig, obey_permissions, ended, message, journal_of, small_disk, bench_of):
         setattr(Tools, each.__name__, staticmethod(each))
     return Tools
+
+
+@pytest.fixture(autouse=True)
+def captures_are_forked(forked: None) -> None:
+    """Every file here starts dozens of captures."""

@@ -22,6 +22,8 @@ from sim.devices.icl_server import IclServer
 from sim.devices.icl_stage import ARCS, LIGHTS
 from sim.devices.kill_trial import CONFIG, small_rig
 
+pytestmark = pytest.mark.usefixtures("forked")
+
 PLACES = (0, 3, 14, 30, 78, 92, 123, 167)
 """Of the eight lights: arc * 14 + light."""
 UPRIGHT_RGB = (True, False, False, True, True, False, True, False)

@@ -7,11 +7,15 @@ import signal
 import subprocess
 import sys
 
+import pytest
+
 from lightstage.formats.landmarks import read_points_px
 from lightstage.formats.session import load_session
 from lightstage.rig import save_rig
 from sim.devices.stage_command import Echo
 from tests.programs import run_program
+
+pytestmark = pytest.mark.usefixtures("forked")
 
 
 def test_the_command_that_a_standing_stage_prints_captures_it(tmp_path, tiny_rig):

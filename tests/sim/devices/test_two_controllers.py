@@ -20,6 +20,8 @@ from sim.devices.faults import Fault, Story
 from sim.devices.kill_trial import CONFIG, small_rig
 from sim.devices.led_device import LedDevice
 
+pytestmark = pytest.mark.usefixtures("forked")
+
 ADDRESSES = [
     *(LightAddress(channel, "left") for channel in (3, 2, 1, 0)),
     *(LightAddress(channel, "right") for channel in (5, 0, 2, 1)),
