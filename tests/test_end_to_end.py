@@ -34,12 +34,12 @@ PATTERNS = ("full", "x+", "x-", "y+", "y-", "z+", "z-")
 
 
 def in_this_process(command: Sequence[str]) -> Measured:
-    """Stands for run_measured: the steps of processing need not import their modules again.
+    """Stands for run_measured: processing and learning need not import their modules again.
 
     All others stay processes, as `make demo` has all steps.
     """
     program, *words = command[2:]
-    if program != "processing":
+    if program not in ("processing", "learning"):
         return run_measured(command)
     begun = time.perf_counter()
     with warnings.catch_warnings():
@@ -78,22 +78,22 @@ def session_is_whole(at: Layout) -> None:
 
 
 def maps_are_near_the_truth(at: Layout) -> None:
-    """Bounds about twice what so few pixels give: a broken stage fails them, noise does not."""
+    """Bounds a third beyond what so few pixels give."""
     found = ProcessedFolder(at.processed)
     for camera in CAMERAS:
         for name in ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal"):
             assert np.isfinite(found.read_view(camera, name)).all()
     facts = read_json(at.processed / "evaluation.json")
     views = facts["views"]
-    assert views["coverage_share"] > 0.25
-    assert views["diffuse_albedo_rmse"] < 0.12
-    assert views["diffuse_normal_median_deg"] < 9
-    assert read_json(at.coarse / "evaluation.json")["views"]["diffuse_normal_median_deg"] < 12
-    assert facts["base_mesh"]["skin_median_mm"] < 2.5
-    assert facts["registered_mesh"]["skin_median_mm"] < 2
-    assert facts["registered_mesh"]["landmark_mean_mm"] < 3
-    assert facts["atlas"]["coverage_share"] > 0.3
-    assert facts["atlas"]["diffuse_albedo_srgb_psnr_db"] > 22
+    assert views["coverage_share"] > 0.85
+    assert views["diffuse_albedo_rmse"] < 0.028
+    assert views["diffuse_normal_median_deg"] < 1.65
+    assert read_json(at.coarse / "evaluation.json")["views"]["diffuse_normal_median_deg"] < 3.8
+    assert facts["base_mesh"]["skin_median_mm"] < 0.145
+    assert facts["registered_mesh"]["skin_median_mm"] < 0.155
+    assert facts["registered_mesh"]["landmark_mean_mm"] < 1.8
+    assert facts["atlas"]["coverage_share"] > 0.8
+    assert facts["atlas"]["diffuse_albedo_srgb_psnr_db"] > 36
     assert found.read_atlas("diffuse_albedo").shape == (384, 256, 3)
 
 
@@ -114,11 +114,11 @@ def report_shows_everything(at: Layout) -> None:
         assert name in names
     assert all(s["seconds"] > 0 and s["peak_mb"] > 10 for s in figures["steps"])
     assert all(np.isfinite(row["value"]) for row in figures["errors"])
-    # A black picture has a relative error of 1, one lit from the wrong side more.
     relative = {name: errors["relative_rmse"] for name, errors in figures["relit"].items()}
-    assert len(relative) == 3
-    assert max(relative.values()) < 1
-    assert relative["key"] < 0.4
+    bounds = {"key": 0.06, "split": 0.08, "rim": 0.185}
+    assert {name: error < bounds[name] for name, error in relative.items()} == dict.fromkeys(
+        bounds, True
+    )
     assert (at.root / "readme.jpg").stat().st_size < 300_000
     assert read_exr(at.inferred / "diffuse_albedo.exr", finite=True).shape == (384, 256, 3)
 
