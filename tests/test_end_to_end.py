@@ -172,9 +172,6 @@ def the_readmes_commands_run_as_written(at: Layout, folder: Path) -> None:
         "OUT": at.processed,
         "P": at.people,
         "RUN": at.training,
-        "T.exr": at.baked,
-        "M.obj": at.mesh,
-        "E.json": at.light_sets()[0],
         "ABOUT.toml": ABOUT,
     }
     for name, path in named.items():
