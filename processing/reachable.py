@@ -29,7 +29,7 @@ def reachable_files(module: str, within: tuple[str, ...], root: Path = ROOT) -> 
     """
     places = tuple(root / name for name in within)
     found: set[Path] = set()
-    waiting = _files_of(module, root)
+    waiting = list(_files_of(module, root))
     if not waiting:
         raise ModuleNotFoundError(f"{root} holds no module {module}")
     while waiting:
@@ -41,17 +41,18 @@ def reachable_files(module: str, within: tuple[str, ...], root: Path = ROOT) -> 
     return sorted(p for p in found if any(p == place or place in p.parents for place in places))
 
 
-def _files_of(module: str, root: Path) -> list[Path]:
+@functools.cache
+def _files_of(module: str, root: Path) -> tuple[Path, ...]:
     """A module's file and each ``__init__`` above it; empty where it is no module here."""
     path = root.joinpath(*module.split("."))
     own = path.with_suffix(".py") if path.with_suffix(".py").is_file() else path / "__init__.py"
     if not own.is_file():
-        return []
+        return ()
     above = [
         root.joinpath(*module.split(".")[:k], "__init__.py")
         for k in range(1, module.count(".") + 1)
     ]
-    return [own, *(path for path in above if path.is_file())]
+    return (own, *(path for path in above if path.is_file()))
 
 
 @functools.cache
