@@ -1,6 +1,5 @@
 import dataclasses
 
-import numba
 import numpy as np
 import pytest
 
@@ -111,20 +110,6 @@ def test_mesh_of_a_ball_is_whole_in_front_and_absent_behind(ball: Mesh) -> None:
     assert (gap[front] < 4).mean() > 0.99
     assert (gap[directions[:, 2] < -0.6 * RADIUS_MM] > 4).all()
     assert boundary_loops(ball).outline_mm > 2 * np.pi * 0.6 * RADIUS_MM
-
-
-def test_result_is_the_same_with_one_and_two_threads() -> None:
-    views = ball_views(3)
-    before = numba.get_num_threads()
-    results = []
-    try:
-        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            numba.set_num_threads(threads)
-            results.append(match_views(views, CONFIG))
-    finally:
-        numba.set_num_threads(before)
-    for one, two in zip(results[0][1], results[1][1], strict=True):
-        np.testing.assert_array_equal(one, two)
 
 
 def test_a_black_view_and_a_camera_that_looks_away_do_no_harm() -> None:
