@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import open3d
+
+from processing import late_open3d as open3d
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,12 +6,12 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-import open3d
 from numba import njit, prange
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera
+from processing import late_open3d as open3d
 
 CHUNK_RAYS = 4_000_000
 
@@ -150,11 +150,11 @@ class MeshRays:
         Returns:
             (n, m) bool.
         """
-        start = np.asarray(points_mm, np.float32) + offset_mm * np.asarray(normals, np.float32)
-        targets = np.asarray(targets_mm, np.float32)
+        upward = np.ascontiguousarray(normals, np.float32)
+        start = np.ascontiguousarray(points_mm, np.float32) + offset_mm * upward
+        targets = np.ascontiguousarray(targets_mm, np.float32)
         out = np.zeros((len(start), len(targets)), bool)
         step = max(1, CHUNK_RAYS // max(1, len(targets)))
-        upward = np.asarray(normals, np.float32)
         for first in range(0, len(start), step):
             part = slice(first, first + step)
             # What faces each other is marked, and then what is in each other's way unmarked.

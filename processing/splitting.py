@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import open3d
 
 from lightstage.formats.mesh import Mesh, directed_edges
+from processing import late_open3d as open3d
 
 
 def split(triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import open3d
 
 from lightstage.counting import counted
 from lightstage.formats.mesh import Mesh, connected, edge_counts, vertex_normals
+from processing import late_open3d as open3d
 from processing.errors import ReconstructionError
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import Points

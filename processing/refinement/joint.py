@@ -19,8 +19,7 @@ from processing.refinement.joint_equations import Spread
 from processing.refinement.joint_kernels import (
     Pixels,
     Solved,
-    evidence_kernel,
-    held_out_kernel,
+    fitted_kernel,
     solve_kernel,
 )
 from processing.refinement.joint_light import Lamps
@@ -142,7 +141,7 @@ def gloss_evidence(given: Given) -> np.ndarray:
         gloss's. Zero where a pixel cannot be solved; outliers count little.
     """
     out = np.zeros((len(given.rgb), 5), np.float32)
-    evidence_kernel(*_compiled(given), out)
+    fitted_kernel(*_compiled(given), np.zeros(0, np.int64), out)
     return out
 
 
@@ -161,7 +160,7 @@ def held_out(given: Given, groups: np.ndarray) -> np.ndarray:
         begin with, no number where the others fix none.
     """
     out = np.zeros((len(given.rgb), int(groups.max()) + 1), np.float32)
-    held_out_kernel(*_compiled(given), np.ascontiguousarray(groups, np.int64), out)
+    fitted_kernel(*_compiled(given), np.ascontiguousarray(groups, np.int64), out)
     return out
 
 

@@ -194,58 +194,57 @@ def _face(
     return light, diffuse, rho, across, a, b, others
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
-def evidence_kernel(
-    pixels: Pixels,
-    lamps: Lamps,
-    spread: Spread,
-    out: np.ndarray,
+@njit(cache=True, error_model="numpy")
+def _evidence(
+    patterns: int, a: np.ndarray, b: np.ndarray, others: np.ndarray, out: np.ndarray
 ) -> None:
-    """Fill in what `joint.gloss_evidence` returns, (n, 5); arguments as there."""
-    patterns = pixels.rgb.shape[1]
-    for i in prange(len(pixels.rgb)):
-        n = pixels.starts[i]
-        if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and pixels.roughness[i] > 0):
-            continue
-        _, _, _, _, a, b, others = _face(pixels, i, lamps, spread)
-        free = b.copy()
-        if not solve_in_place(a, free):
-            continue
-        left2, s_left, m_left = others[0, 0], others[1, 0], others[2, 0]
-        ss, sm, mm = others[1, 1], others[1, 2], others[2, 2]
-        for p in range(5):
-            left2 -= b[p, 0] * free[p, 0]
-            s_left -= b[p, 1] * free[p, 0]
-            m_left -= b[p, 2] * free[p, 0]
-            ss -= b[p, 1] * free[p, 1]
-            sm -= b[p, 1] * free[p, 2]
-            mm -= b[p, 2] * free[p, 2]
-        # What no gloss explains is shadow, hair or motion: such a pixel has little evidence.
-        outside = max(left2, 0.0) / (3 * patterns - 7)
-        trust = 1 / (1 + outside / 9) ** 2
-        if not (ss > 0 and mm >= 0 and math.isfinite(s_left + m_left + sm)):
-            continue
-        out[i, 0] = trust * ss
-        out[i, 1] = trust * sm
-        out[i, 2] = trust * mm
-        out[i, 3] = trust * s_left
-        out[i, 4] = trust * m_left
+    """Fill in what `joint.gloss_evidence` returns of one pixel, (5,), from `_face`'s equations."""
+    free = b.copy()
+    if not solve_in_place(a, free):
+        return
+    left2, s_left, m_left = others[0, 0], others[1, 0], others[2, 0]
+    ss, sm, mm = others[1, 1], others[1, 2], others[2, 2]
+    for p in range(5):
+        left2 -= b[p, 0] * free[p, 0]
+        s_left -= b[p, 1] * free[p, 0]
+        m_left -= b[p, 2] * free[p, 0]
+        ss -= b[p, 1] * free[p, 1]
+        sm -= b[p, 1] * free[p, 2]
+        mm -= b[p, 2] * free[p, 2]
+    # What no gloss explains is shadow, hair or motion: such a pixel has little evidence.
+    outside = max(left2, 0.0) / (3 * patterns - 7)
+    trust = 1 / (1 + outside / 9) ** 2
+    if not (ss > 0 and mm >= 0 and math.isfinite(s_left + m_left + sm)):
+        return
+    out[0] = trust * ss
+    out[1] = trust * sm
+    out[2] = trust * mm
+    out[3] = trust * s_left
+    out[4] = trust * m_left
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def held_out_kernel(
+def fitted_kernel(
     pixels: Pixels,
     lamps: Lamps,
     spread: Spread,
     groups: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Fill in what `joint.held_out` returns, (n, G), of (P,) groups; arguments as there."""
+    """Fill in what `joint.held_out` returns, (n, G), of (P,) groups; arguments as there.
+
+    Of no groups, (0,), what `joint.gloss_evidence` returns, (n, 5). One loop does both, since
+    either takes as long to compile: nearly all of it is the equations that they share.
+    """
+    patterns = pixels.rgb.shape[1]
     for i in prange(len(pixels.rgb)):
         n = pixels.starts[i]
         if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and pixels.roughness[i] > 0):
             continue
         light, diffuse, rho, across, a, b, c = _face(pixels, i, lamps, spread)
+        if len(groups) == 0:
+            _evidence(patterns, a, b, c, out[i])
+            continue
         s = float(pixels.specular[i])
         own_a, own_b, own_c = np.zeros((5, 5)), np.zeros((5, 3)), np.zeros((3, 3))
         whole = left_when_fitted(a.copy(), b, c)

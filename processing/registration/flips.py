@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import open3d
 
 from lightstage.formats.mesh import directed_edges
+from processing import late_open3d as open3d
 from processing.laplacian import neighbour_mean
 from processing.registration.target import Target
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import open3d
 
 from lightstage.formats.mesh import Mesh, edge_counts, vertex_normals
+from processing import late_open3d as open3d
 from processing.laplacian import neighbour_mean
 from processing.rays import MeshRays
 

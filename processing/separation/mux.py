@@ -65,7 +65,8 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
     usable &= rgb.max(axis=1).mean(axis=1) > config.dark_level / 3
     rgb[~usable] = 0
     channels = [lights.channel(c) for c in range(3)]
-    far = np.stack([far_field(each) for each in channels])  # (3, cells, P, 3)
+    # (3, cells, P, 3)
+    far = np.ascontiguousarray(np.stack([far_field(each) for each in channels]))
     view = views[usable].mean(axis=0) if usable.any() else np.array([0.0, 0.0, 1.0])
     wide = (config.roughness, config.roughness + 0.1)
     tables = [lobe_table(each, view, wide) for each in channels]
@@ -73,10 +74,11 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
 
     first, _ = mux_normals(rgb, far, start, config.iterations)
     layers = np.stack([table.values[0] for table in tables])
+    exact = np.ascontiguousarray(rgb, np.float64)
 
     def with_gloss(specular: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         normal, gap = first.copy(), np.zeros(len(rgb))
-        _descend(rgb.astype(np.float64), specular, far, layers, views, ROUNDS, normal, gap)
+        _descend(exact, specular, far, layers, views, ROUNDS, normal, gap)
         return normal, gap
 
     gaps = np.stack([with_gloss(np.full(len(rgb), s))[1] for s in TRIALS])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -168,16 +169,23 @@ def photograph(
     return (irradiance[..., None] * np.array(ball.albedo) + mirror[..., None]).swapaxes(0, 1)
 
 
+@functools.lru_cache(32)
+def _photographed(given: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w) mask and (n, P, 3) readings of a pickled ball, camera and rig: many tests' session."""
+    ball, camera, rig = pickle.loads(given)
+    sight = see(ball, camera)
+    return sight.mask, photograph(ball, sight, rig)
+
+
 def write_session(ball: Ball, rig: Rig, root: Path) -> Path:
     """A session of linear frames; returns its folder."""
     save_rig(rig, root / "rig.json")
     frames = []
     for camera in rig.cameras:
-        sight = see(ball, camera)
-        rgb = photograph(ball, sight, rig)
+        mask, rgb = _photographed(pickle.dumps((ball, camera, rig)))
         for index, name in enumerate(PATTERNS):
-            image = np.zeros((*sight.mask.shape, 3), np.float32)
-            image[sight.mask] = rgb[:, index]
+            image = np.zeros((*mask.shape, 3), np.float32)
+            image[mask] = rgb[:, index]
             path = Path("frames") / name / f"{camera.id}.exr"
             write_exr(root / path, image, half=False)
             digest = hashlib.sha256((root / path).read_bytes()).hexdigest()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from pathlib import Path
 
@@ -52,6 +53,7 @@ def unturned(picture: np.ndarray) -> list[np.ndarray]:
     return [np.rot90(p, k) for p in (picture, picture[:, ::-1]) for k in range(4)]
 
 
+@functools.cache
 def texel_places(store: Store, out: Path) -> list[Found]:
     """Where each published patch lay, found by comparing it with every place of every scan."""
     whole = [
@@ -97,8 +99,8 @@ def test_patches_lie_on_no_common_grid(store: Store) -> None:
 def test_patches_lie_where_they_lay_in_every_release(tmp_path: Path, make_processed: Make) -> None:
     """Patches of two releases that overlapped would stitch together what the gap keeps apart."""
     roots = [make_processed(tmp_path / f"{i}", 192, 128, subject=f"p{i}", seed=i) for i in range(3)]
-    first = open_store(build_store(roots, tmp_path / "one"))
-    second = open_store(build_store(roots[1:], tmp_path / "two"))
+    first = open_in_memory(build_store(roots, tmp_path / "one"))
+    second = open_in_memory(build_store(roots[1:], tmp_path / "two"))
     layout = SMALL.layout(first)
     for scan in second.scans:
         before, after = (
@@ -121,8 +123,8 @@ def test_all_expressions_of_a_person_have_the_same_places(
         for index, name in enumerate(names)
     ]
     roots.append(make_processed(tmp_path / "other", 192, 128, subject="other", seed=3))
-    store = open_store(build_store(roots, tmp_path / "all"))
-    fewer = open_store(build_store(roots[1:], tmp_path / "fewer"))
+    store = open_in_memory(build_store(roots, tmp_path / "all"))
+    fewer = open_in_memory(build_store(roots[1:], tmp_path / "fewer"))
     layout = SMALL.layout(store)
     corners = [[(p.row, p.column) for p in places_of(store, i, layout)] for i in range(4)]
     assert corners[0] == corners[1] == corners[2] != corners[3]
@@ -246,7 +248,7 @@ def test_people_without_a_consent_record_are_refused_by_name(
     ]
     report = roots[2] / "report.json"
     report.write_text(json.dumps({**json.loads(report.read_text()), "synthetic": True}))
-    store = open_store(build_store(roots, tmp_path / "store"))
+    store = open_in_memory(build_store(roots, tmp_path / "store"))
     with pytest.raises(LightstageError, match=r"unasked.*--consent.*--without-consent") as caught:
         publish(store, tmp_path / "out", SEED, SMALL)
     assert "simulated" not in str(caught.value)
@@ -321,7 +323,7 @@ def test_statistics_need_enough_people(tmp_path: Path, make_processed: Make) -> 
     roots = [make_processed(tmp_path / str(i), 192, 128, subject=f"p{i}", seed=i) for i in range(3)]
 
     def statistics(count: int) -> dict:
-        store = open_store(build_store(roots[:count], tmp_path / "store"))
+        store = open_in_memory(build_store(roots[:count], tmp_path / "store"))
         out = publish(store, tmp_path / "out", SEED, SMALL)
         return json.loads((out / "dataset.json").read_text())["statistics"]
 
@@ -403,7 +405,9 @@ def test_unmeasured_texels_publish_nothing(tmp_path: Path, make_processed: Make)
     root = make_processed(tmp_path / "a", 192, 128)
     folder = ProcessedFolder(root)
     folder.write_atlas("diffuse_albedo", np.full((192, 128, 3), 0.75))
-    out = publish(open_store(build_store([root], tmp_path / "s")), tmp_path / "out", SEED, SMALL)
+    out = publish(
+        open_in_memory(build_store([root], tmp_path / "s")), tmp_path / "out", SEED, SMALL
+    )
     seen = read(out, "diffuse_normal").any(axis=3)
     albedo = read(out, "diffuse_albedo")
     assert (albedo[seen] == 0.75).all()
@@ -419,9 +423,9 @@ def test_skin_between_the_hairs_of_a_beard_is_not_published(
     hairs = beard & (rows % 3 == 0) & (columns % 3 == 0)
     root = make_processed(tmp_path / "bearded", 192, 128, subject="bearded")
     ProcessedFolder(root).write_atlas("skin", ~hairs)
-    bearded = open_store(build_store([root], tmp_path / "one"))
+    bearded = open_in_memory(build_store([root], tmp_path / "one"))
     root = make_processed(tmp_path / "shaven", 192, 128, subject="shaven")
-    shaven = open_store(build_store([root], tmp_path / "two"))
+    shaven = open_in_memory(build_store([root], tmp_path / "two"))
     layout = SMALL.layout(bearded)
     left, all_of_it = (published_places(store, layout, 1.0) for store in (bearded, shaven))
     assert 0.3 * len(all_of_it) < len(left) < 0.7 * len(all_of_it)

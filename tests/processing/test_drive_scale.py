@@ -32,8 +32,7 @@ from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
 from sim.devices.photographer import Photographer
 from sim.light.world import World
-from sim.people.subjects import load_subject
-from tests.sim.conftest import ball_subject
+from tests.sim.conftest import ball_subject, one_person
 
 BINARY = SEQUENCES["binary"]
 COLOUR = "calibration/colour.json"
@@ -122,7 +121,8 @@ def albedo_of(
     folder = ProcessedFolder(out)
     decode(session, out, DecodeConfig())
     write_ply(shape or sphere(), folder.base_mesh)
-    refine(session, out, RefineConfig(finest_mm=3.0))
+    # Which family of lobes it is does not depend on the drive, nor on what is asserted here.
+    refine(session, out, RefineConfig(finest_mm=3.0, choice_pixels=0))
     return folder.read_view("cam0", "diffuse_albedo"), folder.read_view("cam0", "confidence") > 0.5
 
 
@@ -197,7 +197,7 @@ def test_albedo_is_the_balls_own(world, plain):
 def test_a_persons_albedo_is_the_same_by_either_drive(tmp_path):
     """Through the cameras' mosaics and noise, with cast shadows."""
     rig = default_rig().scaled(0.03)
-    person = load_subject("anna", 3, None, 192)
+    person = one_person()
     world = World(person, dataclasses.replace(rig, cameras=rig.cameras[:1]))
     shape = coarser(Mesh(person.mesh.vertices, person.mesh.triangles()), 12_000)
     drives: tuple[Drive, Drive] = ("on-off", "solid-angle")

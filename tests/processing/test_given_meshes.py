@@ -217,7 +217,11 @@ def test_a_run_takes_a_given_mesh_and_occluders_from_one_camera_alone(
     wall = plate(0, 60)
     wall = Mesh(wall.vertices[:, [1, 2, 0]] + (0, -70, 130), wall.faces)
     others = write_ply(wall, tmp_path / "wall.ply")
-    words = ["run", session, "--out", out, "--until", "refine"]
+    quick = tmp_path / "quick.toml"
+    quick.write_text(
+        "[refine]\nfinest_mm = 4.0\nocclusion_directions = 64\nbounce_rays = 0\nchoice_pixels = 0\n"
+    )
+    words = ["run", session, "--out", out, "--config", quick, "--until", "refine"]
     tiny = write_ply(Mesh(mesh.vertices / 1000, mesh.faces), tmp_path / "tiny.ply")
     for option, file, message in (
         ("--mesh", tiny, "in metres"),

@@ -20,25 +20,24 @@ from processing.decode.stage import decode
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
 from sim.light.world import World
-from sim.session import SessionConfig, truth_path, write_direct
-from sim.truth import write_truth
+from sim.session import SessionConfig, write_direct
 from tests.processing.lit_ball import angle_deg
-from tests.sim.conftest import one_person
+from tests.sim.conftest import one_person, write_truth_of_one_person
 
 SEQUENCES = ("binary", "linear", "binary-polarised")
 
 
 @pytest.fixture(scope="module")
 def people(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Path]]:
-    """Sequence to a session of one person and its decoded folder."""
+    """Sequence to a session of one person and its decoded folder; `truth` lies beside them."""
     root = tmp_path_factory.mktemp("people")
     rig = default_rig().scaled(0.04)
     world = World(one_person(), dataclasses.replace(rig, cameras=rig.cameras[:1]))
+    write_truth_of_one_person(world, root / "truth")
     made = {}
     for sequence in SEQUENCES:
         session, out = root / sequence, root / f"{sequence}.out"
         write_direct(world, session, SessionConfig(sequence=sequence), 3, quiet)
-        write_truth(world, truth_path(session))
         decode(load_session(session), out, DecodeConfig())
         made[sequence] = session, out
     return made
@@ -51,7 +50,7 @@ def separated(
     session, out = people[sequence]
     facts = separate(load_session(session), out, make_config(SeparateConfig, told, "test"))
     write_as_views(out, ["cam0"])
-    truth, found = ProcessedFolder(truth_path(session)), ProcessedFolder(out)
+    truth, found = ProcessedFolder(out.parent / "truth"), ProcessedFolder(out)
     skin = truth.read_mask("cam0") & (found.read_view("cam0", "confidence") > 0.5)
 
     def both(name: str) -> tuple[np.ndarray, np.ndarray]:

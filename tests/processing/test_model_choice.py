@@ -39,10 +39,10 @@ FAMILIES = (
     Facets(rises=False),
     Facets(True, rises=False, covers=False),
 )
-RIG = lit_ball.small_rig(1, 0.06)
+RIG = lit_ball.small_rig(1, 0.045)
 LIGHTS = lit_ball.lights_of_rig(RIG)
 ALBEDO = np.array([0.55, 0.33, 0.22])
-CONFIG = RefineConfig(choice_pixels=16_000, scattering=(0.0,))
+CONFIG = RefineConfig(choice_pixels=9_000, scattering=(0.0,))
 
 
 @pytest.fixture(scope="module")

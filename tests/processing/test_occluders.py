@@ -23,9 +23,9 @@ from processing.reconstruction.views import View
 from sim.light.world import World
 from sim.people.clothing import collar, dressed
 from sim.people.subject import Subject
-from sim.people.subjects import load_subject
 from sim.session import SessionConfig, write_direct
 from tests.processing.test_given_meshes import ball_mesh, plate
+from tests.sim.conftest import one_person
 
 CAMERAS = default_rig().scaled(0.02).cameras[:3]
 
@@ -97,8 +97,8 @@ def test_pieces_on_the_skin_and_small_ones_are_no_occluders() -> None:
 
 @pytest.fixture(scope="module")
 def small_rig() -> Rig:
-    """Five cameras of 200 x 300 pixels and every fifth light."""
-    rig = default_rig().scaled(300 / 6016)
+    """Five cameras of 160 x 240 pixels and every fifth light."""
+    rig = default_rig().scaled(240 / 6016)
     return dataclasses.replace(rig, lights=rig.lights[::5], cameras=rig.cameras[:5])
 
 
@@ -110,7 +110,7 @@ def photographed(subject: Subject, rig: Rig, root: Path) -> Path:
 def test_a_grey_collar_is_found_and_is_no_part_of_the_skins_mesh(
     tmp_path: Path, small_rig: Rig
 ) -> None:
-    person = load_subject("parametric", 3, None, 192)
+    person = one_person()
     clothes = collar(person)
     session = photographed(dressed(person, clothes, (0.2, 0.2, 0.2)), small_rig, tmp_path / "s")
     out = tmp_path / "out"

@@ -26,11 +26,10 @@ from processing.registration.config import RegisterConfig
 from processing.separation.choice import no_normals
 from sim.light.world import World
 from sim.session import SessionConfig, truth_path, write_direct
-from sim.truth import write_truth
 from tests.processing import lit_ball, textured_ball
 from tests.processing.shots import coloured_rig
 from tests.processing.textured_ball import RADIUS_MM
-from tests.sim.conftest import ball_subject, one_person
+from tests.sim.conftest import ball_subject, one_person, write_truth_of_one_person
 
 TEMPLATE = default_template_path()
 ONE_LIGHT = "expected patterns that light a face from three directions: photographs under x"
@@ -46,7 +45,7 @@ def photographed(rig: Rig, sequence: str, root: Path) -> Path:
     """A session of one person, truth beside it."""
     world = World(one_person(), rig)
     write_direct(world, root / "session", SessionConfig(sequence=sequence), 3, quiet)
-    write_truth(world, truth_path(root / "session"))
+    write_truth_of_one_person(world, truth_path(root / "session"))
     return root / "session"
 
 

@@ -1,6 +1,5 @@
 import dataclasses
 
-import numba
 import numpy as np
 import pytest
 
@@ -74,7 +73,7 @@ def test_depth_of_a_ball_is_exact_to_a_fraction_of_a_pixel(matched: Matched) -> 
 def test_narrow_patches_follow_a_nose() -> None:
     radius, front = 15.0, 80.0
     views, points = textured_ball.views_of(
-        textured_ball.cameras(5),
+        textured_ball.cameras(4),
         np.random.default_rng(5),
         balls=((RADIUS_MM, 0.0), (radius, front)),
     )
@@ -113,37 +112,23 @@ def test_mesh_of_a_ball_is_whole_in_front_and_absent_behind(ball: Mesh) -> None:
     assert boundary_loops(ball).outline_mm > 2 * np.pi * 0.6 * RADIUS_MM
 
 
-def test_result_is_the_same_with_one_and_two_threads() -> None:
-    views = ball_views(3)
-    before = numba.get_num_threads()
-    results = []
-    try:
-        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            numba.set_num_threads(threads)
-            results.append(match_views(views, CONFIG))
-    finally:
-        numba.set_num_threads(before)
-    for one, two in zip(results[0][1], results[1][1], strict=True):
-        np.testing.assert_array_equal(one, two)
-
-
-def test_a_black_view_and_a_camera_that_looks_away_do_no_harm(ball: Mesh) -> None:
-    cams = textured_ball.cameras(7)
-    cams[6] = textured_ball.turned_away(cams[6])
-    views, _ = textured_ball.views_of(cams, np.random.default_rng(5), black=("cam7",))
-    assert not views[5].mask.any()
-    assert not views[6].mask.any()
-    mesh = reconstruct_views(views, ONE_LOOK)[0]
+def test_a_black_view_and_a_camera_that_looks_away_do_no_harm() -> None:
+    cams = textured_ball.cameras(5)
+    cams[4] = textured_ball.turned_away(cams[4])
+    views, _ = textured_ball.views_of(cams, np.random.default_rng(5), black=("cam5",))
+    assert not views[3].mask.any()
+    assert not views[4].mask.any()
+    mesh, good = (reconstruct_views(some, ONE_LOOK)[0] for some in (views, views[:3]))
     assert np.median(surface_error_mm(mesh.vertices)) < 0.1
-    assert len(mesh.vertices) > 0.9 * len(ball.vertices)
+    assert len(mesh.vertices) > 0.9 * len(good.vertices)
 
 
 def test_two_equal_cameras_are_not_matched_with_each_other() -> None:
-    cams = textured_ball.cameras(4)
+    cams = textured_ball.cameras(3)
     cams.append(dataclasses.replace(cams[0], id="again"))
-    chosen = pick_sources(cams, [True] * 5, CONFIG)
-    assert 4 not in chosen[0]
-    assert 0 not in chosen[4]
+    chosen = pick_sources(cams, [True] * 4, CONFIG)
+    assert 3 not in chosen[0]
+    assert 0 not in chosen[3]
     views, _ = textured_ball.views_of(cams, np.random.default_rng(5))
     mesh = reconstruct_views(views, ONE_LOOK)[0]
     assert np.median(surface_error_mm(mesh.vertices)) < 0.1
@@ -160,11 +145,11 @@ def test_fewer_than_two_views_are_refused() -> None:
 
 
 def test_clipped_pixels_are_passed_over() -> None:
-    cams = textured_ball.cameras(5)
+    cams = textured_ball.cameras(3)
     views, _ = textured_ball.views_of(cams, np.random.default_rng(5))
     for view in views:
         view.textures[120:150, 80:100] = np.nan
-    mesh = reconstruct_views(views, CONFIG)[0]
+    mesh = reconstruct_views(views, ONE_LOOK)[0]
     assert np.isfinite(mesh.vertices).all()
     assert np.median(surface_error_mm(mesh.vertices)) < 0.1
 
@@ -172,7 +157,7 @@ def test_clipped_pixels_are_passed_over() -> None:
 def test_lens_distortion_is_undone() -> None:
     bent = [
         dataclasses.replace(camera, dist=(0.15, -0.05, 0.001, -0.002, 0.0))
-        for camera in textured_ball.cameras(4)
+        for camera in textured_ball.cameras(3)
     ]
     views, _ = textured_ball.views_of(bent, np.random.default_rng(5))
     assert not any(any(view.camera.dist) for view in views)

@@ -40,7 +40,8 @@ def kernel_cost(stereo: Stereo, row: int, column: int, w: float) -> float:
     count, floor = gather_patch(stereo, row, column, patch)
     a, b = stereo.slopes[row, column]
     plane = (np.float32(w), np.float32(a), np.float32(b))
-    return float(source_cost(stereo, 0, row, column, plane, patch, count, floor))
+    # In the types of the loops that call it, which it is compiled for in any case.
+    return float(source_cost(stereo, 0, row, column, plane, patch, count, np.float32(floor)))
 
 
 def plain_cost(level: Level, stereo: Stereo, row: int, column: int, w: float) -> float:

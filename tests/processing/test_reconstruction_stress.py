@@ -158,5 +158,5 @@ def test_points_are_the_same_with_one_and_two_threads(undisturbed: Points) -> No
         alone = points_of(views_of(CAMERAS))
     finally:
         numba.set_num_threads(before)
-    np.testing.assert_allclose(alone.positions, undisturbed.positions, atol=1e-6)
-    np.testing.assert_allclose(alone.normals, undisturbed.normals, atol=1e-6)
+    np.testing.assert_array_equal(alone.positions, undisturbed.positions)
+    np.testing.assert_array_equal(alone.normals, undisturbed.normals)

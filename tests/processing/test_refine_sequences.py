@@ -19,10 +19,9 @@ from processing.pipeline import PipelineConfig, run
 from processing.refinement.config import RefineConfig
 from sim.light.world import World
 from sim.session import SessionConfig, truth_path, write_direct
-from sim.truth import write_truth
 from tests.processing.lit_ball import angle_deg
 from tests.processing.shots import coloured_rig
-from tests.sim.conftest import one_person
+from tests.sim.conftest import one_person, write_truth_of_one_person
 
 CONFIG = PipelineConfig(
     refine=RefineConfig(
@@ -41,7 +40,7 @@ def photographed(rig: Rig, sequence: str, root: Path) -> Path:
     session = root / "session"
     world = World(one_person(), rig)
     write_direct(world, session, SessionConfig(sequence=sequence), 3, quiet)
-    write_truth(world, truth_path(session))
+    write_truth_of_one_person(world, truth_path(session))
     return session
 
 

@@ -16,11 +16,19 @@ from hypothesis import strategies as st
 
 from lightstage.errors import ConfigError, LightstageError
 from lightstage.formats.files import sha256_file
-from processing.dataset import About, Answers, PublishConfig, Store, build_store, open_store
+from processing.dataset import About, Answers, PublishConfig, Store, build_store
 from processing.dataset.about import NEEDED, read_about
 from processing.dataset.groups import FEWEST, published_counts
 from processing.dataset.scan import AGE_BANDS, OLDEST, SEXES, age_band
-from tests.processing.releases import ABOUT, ABOUT_FILE, SMALL, Make, publish, small_store
+from tests.processing.releases import (
+    ABOUT,
+    ABOUT_FILE,
+    SMALL,
+    Make,
+    open_in_memory,
+    publish,
+    small_store,
+)
 
 TINY = PublishConfig(patch_px=8, gap=0.25, wander=0.25, most_face=0.2, min_coverage=0.3)
 
@@ -190,7 +198,7 @@ def people(tmp_path: Path, make: Make, said: list[tuple[str | None, float | None
         report = json.loads((root / "report.json").read_text())
         (root / "report.json").write_text(json.dumps({**report, "sex": sex, "age_years": age}))
         roots.append(root)
-    return open_store(build_store(roots, tmp_path / "store"))
+    return open_in_memory(build_store(roots, tmp_path / "store"))
 
 
 def test_people_are_counted_by_what_the_store_knows(tmp_path: Path, make_processed: Make) -> None:
@@ -229,7 +237,7 @@ def test_a_store_of_before_is_published_without_knowing_whom_it_shows(
         for name in ("sums", "shards_sha256", "sex", "age"):
             del scan[name]
     file.write_text(json.dumps(value))
-    out = publish(open_store(built.path), tmp_path / "out", config=SMALL)
+    out = publish(open_in_memory(built.path), tmp_path / "out", config=SMALL)
     assert "knows nobody's skin tone" in (out / "DATASHEET.md").read_text()
 
 

@@ -35,9 +35,12 @@ def model(clone):
 
 
 @pytest.fixture(scope="module")
-def folder(clone, tmp_path_factory):
+def folder(clone, model, tmp_path_factory):
     config = ImportConfig()
-    template, facts = import_ict(clone, config)
+    with pytest.MonkeyPatch.context() as patch:
+        # A clone takes seconds to read.
+        patch.setattr("processing.template.import_ict.read_ict", {clone: model}.__getitem__)
+        template, facts = import_ict(clone, config)
     assert facts["unit"] == "cm"
     assert facts["passed_over"] == []
     return write_template(template, tmp_path_factory.mktemp("ict") / "T", config)

@@ -3,20 +3,37 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera, Light, Rig, look_at
+from sim.light.scene import Scene
+from sim.light.world import World
 from sim.people.subject import Subject
 from sim.people.subjects import load_subject
+from sim.truth import vertex_occlusion, write_truth
 
 
 @functools.cache
 def one_person() -> Subject:
     """A parametric person of 384 rows, made once; not to be changed."""
     return load_subject("parametric", 3, None, 384)
+
+
+@functools.cache
+def _open_sky_of_one_person() -> np.ndarray:
+    return vertex_occlusion(Scene(one_person()))
+
+
+def write_truth_of_one_person(world: World, out: Path) -> Path:
+    """`write_truth`; how much sky the person's vertices see is found once for all rigs."""
+    assert world.subject is one_person()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sim.truth.vertex_occlusion", lambda _: _open_sky_of_one_person())
+        return write_truth(world, out)
 
 
 def ball_mesh(radius_mm: float = 80.0, rows: int = 48, columns: int = 96) -> Mesh:
