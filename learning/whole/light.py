@@ -269,9 +269,9 @@ class LightFit:
         steady: float = 1e-6,
     ) -> tuple[np.ndarray, float]:
         """(L, 3) colours of lamps, not negative, and the misfit; texels far off lose weight."""
-        albedo, specular = (values[self._counted] for values in skin)
+        albedo, specular = (np.ascontiguousarray(v.T[..., self._counted]) for v in skin)
         shine = lobe.T[:, self._counted] * specular
-        rows = albedo.T[:, None] * irradiance.T[:, self._counted] + shine
+        rows = albedo[:, None] * irradiance.T[:, self._counted] + shine
         weight = self._weight
         for _ in range(ROBUST_ROUNDS):
             root = np.sqrt(weight) * self._scale
