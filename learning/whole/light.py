@@ -205,8 +205,8 @@ class LightFit:
     def _peaks(self, skin: tuple[np.ndarray, np.ndarray]) -> Lamps:
         """Where the light of a dome of lamps is strongest, `MOST_LAMPS` places at most."""
         around = self.openness, AMBIENT_SHINE * self.openness
-        columns = (np.column_stack(both) for both in zip(self._dome, around, strict=True))
-        rgb, _ = self._solved(skin, *columns, steady=1e-3)
+        irradiance, lobe = map(np.column_stack, zip(self._dome, around, strict=True))
+        rgb, _ = self._solved(skin, irradiance, lobe, steady=1e-3)
         peaks = rgb[:-1].sum(axis=1)
         distance = np.linalg.norm(DOME_MM[0])
         direction = DOME_MM / distance
