@@ -176,7 +176,6 @@ def spread_out(points: np.ndarray, among: np.ndarray, count: int) -> np.ndarray:
     at = 0
     for index in range(count):
         found[index] = among[at]
-        apart = places - places[at]
-        far = np.minimum(far, np.einsum("nk,nk->n", apart, apart))
+        far = np.minimum(far, ((places - places[at]) ** 2).sum(axis=1))
         at = int(far.argmax())
     return found

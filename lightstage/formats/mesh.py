@@ -166,6 +166,8 @@ def _read_plain(lines: list[str]) -> Mesh | None:
 
 def _numbers_of(lines: list[str], pattern: str, count: int, kind: type) -> np.ndarray | None:
     """(n, count) numbers of n lines that are all as a pattern says; None where one is not."""
+    if not lines:
+        return np.zeros((0, count), kind)
     text = "".join(lines)
     if re.fullmatch(f"(?:{pattern}\n)*(?:{pattern})?", text, re.ASCII) is None:
         return None
