@@ -53,9 +53,10 @@ class LitSurfaces:
         irradiance, lobe = (np.concatenate(values) for values in zip(*each, strict=True))
         return irradiance, lobe
 
-    def openness(self) -> np.ndarray:
+    def openness(self, dome: np.ndarray | None = None) -> np.ndarray:
         """See `LitSurface.openness`."""
-        return np.concatenate([part.openness() for part in self._parts])
+        own = [None] * len(self._parts) if dome is None else self.split(dome, 1)
+        return np.concatenate([p.openness(o) for p, o in zip(self._parts, own, strict=True)])
 
 
 @dataclasses.dataclass(frozen=True)

@@ -171,10 +171,11 @@ def spread_out(points: np.ndarray, among: np.ndarray, count: int) -> np.ndarray:
     if len(among) <= count:
         return among
     found = np.empty(count, among.dtype)
+    places = points[among]
     far = np.full(len(among), np.inf)
     at = 0
     for index in range(count):
         found[index] = among[at]
-        far = np.minimum(far, ((points[among] - points[among[at]]) ** 2).sum(axis=1))
+        far = np.minimum(far, ((places - places[at]) ** 2).sum(axis=1))
         at = int(far.argmax())
     return found

@@ -64,7 +64,7 @@ class Surface(Protocol):
     ) -> tuple[np.ndarray, np.ndarray]:
         """(n, L) irradiance and lobe."""
 
-    def openness(self) -> np.ndarray:
+    def openness(self, dome: np.ndarray | None = ...) -> np.ndarray:
         """(n,) share of even light."""
 
 
@@ -125,10 +125,15 @@ class LitSurface:
         irradiance, shine = (x[:, 0].numpy()[:, self.covered].T.astype(float) for x in both)
         return irradiance, shine
 
-    def openness(self) -> np.ndarray:
-        """(n,) share of even light from all round that reaches a texel, weighted by the cosine."""
+    def openness(self, dome: np.ndarray | None = None) -> np.ndarray:
+        """(n,) share of even light from all round that reaches a texel, weighted by the cosine.
+
+        Args:
+            dome: (L, n) of the method `seen` for `DOME_MM`, where it is known already.
+        """
+        dome = self.seen(DOME_MM) if dome is None else dome
         cosine = np.clip(self._normal @ (DOME_MM / np.linalg.norm(DOME_MM[0])).T, 0, None)
-        return (self.seen(DOME_MM).T * cosine).sum(axis=1) / np.maximum(cosine.sum(axis=1), 1e-6)
+        return (dome.T * cosine).sum(axis=1) / np.maximum(cosine.sum(axis=1), 1e-6)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -155,13 +160,20 @@ class LightFit:
 
         `openness` is (n,), see `LitSurface.openness`; `shininess` of its highlights may be changed.
         """
-        self._surface, self._texture, self._weight = surface, texture, weight
-        self.openness, self.shininess = surface.openness(), SHININESS
+        self._surface = surface
+        counted = weight > 0
+        self._counted = slice(None) if counted.all() else counted
+        # A channel after the other, and only what counts: the search solves for lamps often.
+        self._texture, self._weight = texture[counted].T.copy(), weight[counted]
+        self._scale = 1 / (self._texture.mean(axis=0) + DARK)
+        self._log = np.log(np.maximum(self._texture, 1e-3)).mean(axis=0)
+        seen = surface.seen(DOME_MM)
+        self.openness, self.shininess = surface.openness(seen), SHININESS
         self._seen: dict[tuple[float, float, float], np.ndarray] = {}
         self._known: dict[
             tuple[tuple[float, float, float], float], tuple[np.ndarray, np.ndarray]
         ] = {}
-        self._dome = surface.under(DOME_MM)
+        self._dome = surface.under(DOME_MM, seen=seen)
 
     def find(
         self, albedo: np.ndarray, specular: np.ndarray, begin: Light | None, until: float
@@ -192,7 +204,9 @@ class LightFit:
 
     def _peaks(self, skin: tuple[np.ndarray, np.ndarray]) -> Lamps:
         """Where the light of a dome of lamps is strongest, `MOST_LAMPS` places at most."""
-        rgb, _ = self._solved(skin, *self._with_ambient(*self._dome), steady=1e-3)
+        around = self.openness, AMBIENT_SHINE * self.openness
+        irradiance, lobe = map(np.column_stack, zip(self._dome, around, strict=True))
+        rgb, _ = self._solved(skin, irradiance, lobe, steady=1e-3)
         peaks = rgb[:-1].sum(axis=1)
         distance = np.linalg.norm(DOME_MM[0])
         direction = DOME_MM / distance
@@ -240,16 +254,12 @@ class LightFit:
             irradiance, lobe = self._surface.under(np.array(missing), self.shininess, seen)
             for index, lamp in enumerate(missing):
                 self._known[lamp, self.shininess] = irradiance[:, index], lobe[:, index]
-        none = np.zeros((len(self._texture), 0))
         each = [self._known[lamp, self.shininess] for lamp in lamps]
-        found = [np.column_stack([none, *(parts[i] for parts in each)]) for i in (0, 1)]
-        return self._with_ambient(found[0], found[1])
-
-    def _with_ambient(
-        self, irradiance: np.ndarray, lobe: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        around = AMBIENT_SHINE * self.openness
-        return np.column_stack([irradiance, self.openness]), np.column_stack([lobe, around])
+        around = self.openness, AMBIENT_SHINE * self.openness
+        irradiance, lobe = (
+            np.stack([*(parts[i] for parts in each), ambient]).T for i, ambient in enumerate(around)
+        )
+        return irradiance, lobe
 
     def _solved(
         self,
@@ -259,43 +269,47 @@ class LightFit:
         steady: float = 1e-6,
     ) -> tuple[np.ndarray, float]:
         """(L, 3) colours of lamps, not negative, and the misfit; texels far off lose weight."""
-        albedo, specular = skin
-        shine = specular[:, None] * lobe
-        rows = albedo[:, None, :] * irradiance[:, :, None] + shine[:, :, None]
-        scale = 1 / (self._texture.mean(axis=1) + DARK)
-        known = np.log(np.maximum(self._texture, 1e-3))
+        albedo, specular = (np.ascontiguousarray(v.T[..., self._counted]) for v in skin)
+        shine = lobe.T[:, self._counted] * specular
+        rows = albedo[:, None] * irradiance.T[:, self._counted] + shine
         weight = self._weight
         for _ in range(ROBUST_ROUNDS):
-            root = np.sqrt(weight) * scale
-            rgb = np.stack(
-                [_steady_nnls(rows[:, :, c], self._texture[:, c], root, steady) for c in range(3)],
-                axis=1,
-            )
-            made = np.einsum("nlc,lc->nc", rows, rgb)
-            off = np.abs((np.log(np.maximum(made, 1e-3)) - known).mean(axis=1))
-            spread = max(1.5 * 1.4826 * _median(off, self._weight), 0.05)
-            weight = self._weight / (1 + (off / spread) ** 2)
+            root = np.sqrt(weight) * self._scale
+            rgb = _steady_nnls(rows, self._texture, root, steady)
+            red, green, blue = np.maximum(rgb[:, None] @ rows, 1e-3)[:, 0]
+            off = np.abs(np.log(red * green * blue) / 3 - self._log)
+            middle = float(np.median(off)) if off.size else 0.0
+            weight = self._weight / (1 + (off / max(1.5 * 1.4826 * middle, 0.05)) ** 2)
         total = max(float(self._weight.sum()), 1e-9)
-        return rgb, float((self._weight * np.log1p((off / HALF_AT) ** 2)).sum() / total)
+        return rgb.T, float((self._weight * np.log1p((off / HALF_AT) ** 2)).sum() / total)
 
 
 def _steady_nnls(
     rows: np.ndarray, right: np.ndarray, root: np.ndarray, steady: float
 ) -> np.ndarray:
-    """Non-negative least squares through the normal equations, with a small Tikhonov term."""
-    weighted = rows * root[:, None]
-    normal = weighted.T @ weighted
-    size = max(float(np.trace(normal)) / len(normal), 1e-30)
-    lower = np.linalg.cholesky(normal + steady * size * np.eye(len(normal)))
-    projected = np.linalg.solve(lower, weighted.T @ (right * root))
-    found: np.ndarray = nnls(lower.T, projected, maxiter=100 * len(normal))[0]
+    """Non-negative least squares through the normal equations, with a small Tikhonov term.
+
+    Args:
+        rows: (3, L, n) what each unknown adds, by channel.
+        right: (3, n) what they should add up to.
+        root: (n,) square root of each equation's weight.
+        steady: the term, of the mean of the normal equations' diagonal.
+
+    Returns:
+        (3, L).
+    """
+    weighted = rows * root
+    normal = weighted @ weighted.transpose(0, 2, 1)
+    size = np.maximum(np.trace(normal, axis1=1, axis2=2) / rows.shape[1], 1e-30)
+    normal += (steady * size)[:, None, None] * np.eye(rows.shape[1])
+    projected = weighted @ (right * root)[:, :, None]
+    found: np.ndarray = np.linalg.solve(normal, projected)[:, :, 0]
+    # Where no unknown is negative by itself, this is the answer.
+    for channel in np.flatnonzero((found < 0).any(axis=1)):
+        lower = np.linalg.cholesky(normal[channel])
+        given = np.linalg.solve(lower, projected[channel, :, 0])
+        found[channel] = nnls(lower.T, given, maxiter=100 * len(lower))[0]
     return found
-
-
-def _median(values: np.ndarray, weight: np.ndarray) -> float:
-    """Of the values that count at all."""
-    some = values[weight > 0]
-    return float(np.median(some)) if some.size else 0.0
 
 
 def _moves(lamps: Lamps, index: int, step: float) -> list[Lamps]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import re
 from pathlib import Path
 
 import numpy as np
@@ -121,43 +122,91 @@ def read_obj(path: Path) -> Mesh:
     Raises:
         FormatError: missing, malformed, or an index out of range.
     """
+    try:
+        with open(open_regular(path, "an OBJ mesh"), encoding="utf-8") as handle:
+            lines = handle.readlines()
+        mesh = _read_plain(lines) or _read_lines(lines, path)
+    except (OSError, UnicodeDecodeError, ValueError, IndexError) as error:
+        raise FormatError(path, found=str(error), expected="a readable OBJ mesh") from None
+    _check(mesh, path)
+    return mesh
+
+
+_NUMBER, _INDEX = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?", r"\d{1,9}"
+
+
+def _read_plain(lines: list[str]) -> Mesh | None:
+    """A mesh as programs write it: one space between numbers, faces of one kind, no index from the
+    end. None for any other: `_read_lines` reads it, and names what is wrong with it.
+    """
+    vertices = [line[2:] for line in lines if line.startswith("v ")]
+    uvs = [line[3:] for line in lines if line.startswith("vt ")]
+    faces = [line[2:] for line in lines if line.startswith("f ")]
+    plain = len(vertices) + len(uvs) + len(faces)
+    if plain != sum(line.split(None, 1)[:1] in (["v"], ["vt"], ["f"]) for line in lines):
+        return None
+    corners = len(faces[0].split()) if faces else 0
+    if corners not in (3, 4):
+        return None
+    indices = 1 + faces[0].count("/") // corners
+    places = _numbers_of(vertices, " ".join(3 * [_NUMBER]), 3, float)
+    textures = _numbers_of(uvs, " ".join(2 * [_NUMBER]), 2, float)
+    corner = "/".join(indices * [_INDEX])
+    joins = _numbers_of(faces, " ".join(corners * [corner]), corners * indices, np.int64)
+    if places is None or textures is None or joins is None or joins.min() < 1:
+        return None
+    by_corner = joins.reshape(-1, corners, indices).astype(np.int32) - 1
+    return Mesh(
+        places,
+        np.ascontiguousarray(by_corner[..., 0]),
+        textures if uvs else None,
+        np.ascontiguousarray(by_corner[..., 1]) if indices > 1 else None,
+    )
+
+
+def _numbers_of(lines: list[str], pattern: str, count: int, kind: type) -> np.ndarray | None:
+    """(n, count) numbers of n lines that are all as a pattern says; None where one is not."""
+    if not lines:
+        return np.zeros((0, count), kind)
+    text = "".join(lines)
+    if re.fullmatch(f"(?:{pattern}\n)*(?:{pattern})?", text, re.ASCII) is None:
+        return None
+    return np.fromstring(text.replace("/", " "), kind, sep=" ").reshape(-1, count)
+
+
+def _read_lines(lines: list[str], path: Path) -> Mesh:
+    """Any mesh, a line after the other."""
     vertices: list[list[float]] = []
     uvs: list[list[float]] = []
     faces: list[list[int]] = []
     face_uvs: list[list[int]] = []
-    try:
-        with open(open_regular(path, "an OBJ mesh"), encoding="utf-8") as handle:
-            for number, line in enumerate(handle, 1):
-                words = line.split()
-                if not words:
-                    continue
-                if words[0] == "v":
-                    vertices.append(_numbers(words[1:4], 3))
-                elif words[0] == "vt":
-                    uvs.append(_numbers(words[1:3], 2))
-                elif words[0] == "f":
-                    corners = [w.split("/") for w in words[1:]]
-                    if len(corners) not in (3, 4):
-                        raise FormatError(
-                            path,
-                            field=f"line {number}",
-                            found=f"a face of {counted(len(corners), 'corner')}",
-                            expected="triangles or quads",
-                        )
-                    pad = [-1] * (4 - len(corners))
-                    faces.append([_index(c[0], len(vertices)) for c in corners] + pad)
-                    if all(len(c) > 1 and c[1] for c in corners):
-                        face_uvs.append([_index(c[1], len(uvs)) for c in corners] + pad)
-    except (OSError, UnicodeDecodeError, ValueError, IndexError) as error:
-        raise FormatError(path, found=str(error), expected="a readable OBJ mesh") from None
-    mesh = Mesh(
+    for number, line in enumerate(lines, 1):
+        words = line.split()
+        if not words:
+            continue
+        if words[0] == "v":
+            vertices.append(_numbers(words[1:4], 3))
+        elif words[0] == "vt":
+            uvs.append(_numbers(words[1:3], 2))
+        elif words[0] == "f":
+            corners = [w.split("/") for w in words[1:]]
+            if len(corners) not in (3, 4):
+                raise FormatError(
+                    path,
+                    field=f"line {number}",
+                    found=f"a face of {counted(len(corners), 'corner')}",
+                    expected="triangles or quads",
+                )
+            pad = [-1] * (4 - len(corners))
+            faces.append([_index(c[0], len(vertices)) for c in corners] + pad)
+            if all(len(c) > 1 and c[1] for c in corners):
+                face_uvs.append([_index(c[1], len(uvs)) for c in corners] + pad)
+    return Mesh(
         np.array(vertices, float).reshape(-1, 3),
         _trim(np.array(faces, np.int32).reshape(-1, 4)),
         np.array(uvs, float).reshape(-1, 2) if uvs else None,
         _trim(np.array(face_uvs, np.int32).reshape(-1, 4)) if face_uvs else None,
     )
-    _check(mesh, path)
-    return mesh
 
 
 def _numbers(words: list[str], count: int) -> list[float]:

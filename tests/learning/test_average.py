@@ -30,9 +30,21 @@ from tests.learning.test_upscale import TINY as UPSCALE
 from tests.learning.test_whole_face import TINY as FACES
 from tests.learning.test_whole_face import stopping_after
 
-SHORT_FACES = dataclasses.replace(FACES, steps=5, detail_pairs=1, score_lights=1, ema=0.9)
+SHORT_FACES = dataclasses.replace(
+    FACES,
+    faces=dataclasses.replace(FACES.faces, shadow_sets=1),
+    steps=5,
+    detail_pairs=1,
+    score_lights=1,
+    ema=0.9,
+)
 SHORT_PATCHES = dataclasses.replace(PATCHES, score_patches=1, ema=0.9)
-SHORT_UPSCALE = dataclasses.replace(UPSCALE, steps=5, ema=0.9)
+SHORT_UPSCALE = dataclasses.replace(
+    UPSCALE,
+    pictures=dataclasses.replace(UPSCALE.pictures, count=2, shadow_sets=1),
+    steps=5,
+    ema=0.9,
+)
 SHORT_FOUR = dataclasses.replace(FOUR, score_patches=1, batch=4, ema=0.9)
 ALL: dict[str, tuple[Any, Any, str]] = {
     "faces": (SHORT_FACES, load_whole_face, "network"),

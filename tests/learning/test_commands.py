@@ -172,8 +172,9 @@ def test_whole_faces_are_the_default_and_infer_keeps_a_textures_size(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    small = "steps = 2\ndetail_pairs = 1\n[network]\nrows = 48\ncolumns = 32\nwidth = 2\n"
-    (tmp_path / "small.toml").write_text(small)
+    small = "steps = 2\ndetail_pairs = 1\ndoubt_faces = 8\n"
+    network = "[network]\nrows = 48\ncolumns = 32\nwidth = 2\n"
+    (tmp_path / "small.toml").write_text(small + network)
     run_folder = tmp_path / "run"
     train = [
         "train",

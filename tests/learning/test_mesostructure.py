@@ -248,7 +248,7 @@ def bumpy(strangers: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Pa
     """A store of three people whose true normals wave over the mesh's, their albedo flat."""
     root, folders = tmp_path_factory.mktemp("bumpy"), []
     rng = np.random.default_rng(7)
-    for source in strangers[:3]:
+    for source in strangers:
         folder = ProcessedFolder(Path(shutil.copytree(source, root / source.name)))
         position = folder.read_atlas("position")
         covered = (position != 0).any(axis=2)

@@ -44,27 +44,36 @@ from tests.learning.test_whole_face import TINY as FACES
 from tests.learning.test_whole_face import faces_of
 
 ONE_OF_TWO = """
+import os
 import sys
-import time
 from pathlib import Path
 import torch
+from learning.__main__ import main
 from learning.processes import joined, started_by_torchrun
 from learning.train import train
 from processing.dataset import open_store
 from tests.learning.test_processes import ALL
 
 torch.set_num_threads(1)
-store, out = map(Path, sys.argv[1:])
+store, out = map(Path, sys.argv[1:3])
 processes = started_by_torchrun()
 with joined(processes, torch.device("cpu")):
     for family, (config, _) in ALL.items():
         train(open_store(store), out / family, config, processes=processes)
+print("trained", flush=True)
+os.environ["MASTER_PORT"] = sys.argv[3]
+sys.argv[1:] = sys.argv[4:]
+main()
 """
+"""Trains each of `ALL`, then runs a command: to start a process takes as long as all of these."""
 ALL: dict[str, tuple[Any, Any]] = {
-    "faces": (dataclasses.replace(FACES, batch=4, steps=3), load_whole_face),
-    "patches": (dataclasses.replace(PATCHES, batch=4, epochs=1), load_generator),
+    "faces": (
+        dataclasses.replace(FACES, batch=4, steps=3, detail_pairs=1, score_lights=1),
+        load_whole_face,
+    ),
+    "patches": (dataclasses.replace(PATCHES, batch=4, epochs=1, score_patches=1), load_generator),
     "super-resolution": (dataclasses.replace(UPSCALE, steps=3), load_super_resolution),
-    "four": (dataclasses.replace(FOUR, batch=4, epochs=1), load_four_networks),
+    "four": (dataclasses.replace(FOUR, batch=4, epochs=1, score_patches=1), load_four_networks),
 }
 """Of each family: a short configuration, and what reads its weights."""
 
@@ -87,19 +96,45 @@ def started(rank: int, port: int, *words: object) -> subprocess.Popen[str]:
     )
 
 
+@dataclasses.dataclass(frozen=True)
+class Pair:
+    """What two processes left, the second of which got a signal in the midst of a long training."""
+
+    trained: Path
+    stopped: Path
+    codes: list[int]
+    printed: list[tuple[str, str]]
+
+
+@pytest.fixture(scope="module")
+def pair(store_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Pair:
+    """Two processes that train each of `ALL`, and then one network for long."""
+    folder = tmp_path_factory.mktemp("two")
+    config, run = folder / "long.toml", folder / "run"
+    config.write_text(
+        "steps = 100000\nbatch = 2\nlog_steps = 1\n[faces]\nshadow_sets = 2\n"
+        "[network]\nrows = 48\ncolumns = 32\nwidth = 4\n"
+    )
+    port, other = free_port(), free_port()
+    words = ["-c", ONE_OF_TWO, store_path, folder / "two", other, "train", "--data", store_path]
+    words += ["--out", run, "--config", config, "--device", "cpu"]
+    both = [started(rank, port, *words) for rank in (0, 1)]
+    metrics = run / "metrics.jsonl"
+    while both[0].poll() is None and not (metrics.exists() and metrics.stat().st_size > 600):
+        time.sleep(0.05)
+    both[1].send_signal(signal.SIGTERM)
+    printed = [process.communicate(timeout=300) for process in both]
+    return Pair(folder / "two", run, [process.returncode for process in both], printed)
+
+
 def test_two_processes_train_as_one_with_the_batch_of_both(
-    store_path: Path, tmp_path: Path
+    pair: Pair, store_path: Path, tmp_path: Path
 ) -> None:
-    port = free_port()
-    two = [started(rank, port, "-c", ONE_OF_TWO, store_path, tmp_path / "two") for rank in (0, 1)]
-    for family, (config, _) in ALL.items():
-        train(open_store(store_path), tmp_path / "one" / family, config)
-    for process in two:
-        printed = process.communicate(timeout=300)
-        assert process.returncode == 0, printed
-        assert printed[0] == ""
-    for family, (_, load) in ALL.items():
-        runs = [tmp_path / name / family for name in ("one", "two")]
+    for out, _ in pair.printed:
+        assert out.startswith("trained\n"), pair.printed
+    for family, (config, load) in ALL.items():
+        train(open_store(store_path), tmp_path / family, config)
+        runs = [tmp_path / family, pair.trained / family]
         lines = [
             [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
             for run in runs
@@ -230,27 +265,12 @@ def test_a_signal_waits_for_the_end_of_what_is_held_and_an_impatient_one_does_no
             signal.signal(number, handler)
 
 
-def test_the_first_process_alone_writes_and_all_stop_after_the_same_step(
-    store_path: Path, tmp_path: Path
-) -> None:
+def test_the_first_process_alone_writes_and_all_stop_after_the_same_step(pair: Pair) -> None:
     """One of two gets a signal in the midst: both end by it, and the checkpoint is whole."""
-    config = tmp_path / "long.toml"
-    config.write_text(
-        "steps = 100000\nbatch = 2\nlog_steps = 1\n[network]\nrows = 48\ncolumns = 32\nwidth = 4\n"
-        "[faces]\nshadow_sets = 2\n"
-    )
-    words = ["-m", "learning", "train", "--data", store_path, "--out", tmp_path / "run"]
-    words += ["--config", config, "--device", "cpu"]
-    port = free_port()
-    both = [started(rank, port, *words) for rank in (0, 1)]
-    metrics = tmp_path / "run" / "metrics.jsonl"
-    while both[0].poll() is None and not (metrics.exists() and metrics.stat().st_size > 600):
-        time.sleep(0.05)
-    both[1].send_signal(signal.SIGTERM)
-    printed = [process.communicate(timeout=120) for process in both]
-    assert [process.returncode for process in both] == [130, 130], printed
-    steps = [json.loads(line)["step"] for line in metrics.read_text().splitlines()]
-    checkpoint = read_checkpoint(tmp_path / "run")
+    assert pair.codes == [130, 130], pair.printed
+    metrics = (pair.stopped / "metrics.jsonl").read_text()
+    steps = [json.loads(line)["step"] for line in metrics.splitlines()]
+    checkpoint = read_checkpoint(pair.stopped)
     assert steps == list(range(checkpoint.step))
     assert load_tensors(checkpoint, "training")["adam.0.step"] == checkpoint.step
-    assert not list(tmp_path.glob(f"**/{INDEX}.*"))
+    assert not list(pair.stopped.parent.glob(f"**/{INDEX}.*"))

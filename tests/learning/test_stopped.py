@@ -45,6 +45,7 @@ TINY = {
 seconds = 60
 batch = 2
 detail_pairs = 1
+doubt_faces = 2
 score_lights = 1
 [network]
 rows = 24

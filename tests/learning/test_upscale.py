@@ -342,8 +342,8 @@ def test_train_then_upscale_by_the_commands(
     assert not large.exists()
 
 
-def test_the_shipped_weights_beat_bicubic_on_two_people_not_trained_on(tmp_path: Path) -> None:
-    write_people(make_plan(tmp_path / "people", load_table("balanced"), 2, 1, 900, 768), jobs=1)
+def test_the_shipped_weights_beat_bicubic_on_a_person_not_trained_on(tmp_path: Path) -> None:
+    write_people(make_plan(tmp_path / "people", load_table("balanced"), 1, 1, 900, 768), jobs=1)
     folders = sorted(path.parent for path in (tmp_path / "people").glob("*/report.json"))
     store_path = build_store(folders, tmp_path / "store")
     network, _ = load_super_resolution(shipped_super_resolution())

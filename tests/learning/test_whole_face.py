@@ -44,6 +44,7 @@ TINY = WholeTrainConfig(
     learning_rate=0.01,
     log_steps=1,
     detail_pairs=2,
+    doubt_faces=8,
     score_lights=2,
 )
 PLAIN = FacesConfig(shadow_sets=3, white_balance=0.0, noise=0.0, partial_share=0.0)

@@ -1,15 +1,18 @@
 """Meshes: topology and UV kept, damage refused, normals against known shapes."""
 
 import collections
+from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightstage.errors import FormatError
 from lightstage.formats.mesh import (
     Mesh,
+    _read_lines,
+    _read_plain,
     connected,
     directed_edges,
     edge_counts,
@@ -20,6 +23,7 @@ from lightstage.formats.mesh import (
     write_obj,
     write_ply,
 )
+from lightstage.formats.template import default_template_path
 
 MIXED = """# a quad and a triangle
 mtllib x.mtl
@@ -187,3 +191,50 @@ def test_connected_parts_are_those_of_painting_neighbours(count, pairs):
     found = connected(edges, count)
     assert sorted(set(found)) == list(range(len(set(colour))))
     assert len(set(zip(found, colour, strict=True))) == len(set(colour))
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.lists(
+        st.sampled_from(
+            ["v 1 2 3", "v -0.5 1e3 2.", "v 1e999 0 0", "v 1 2 3 0.5 0.5 0.5", "v nan 0 0",
+             "v 1 2", "v  1 2 3", " v 4 5 6", "v\t7 8 9", "v 1 2 x", "v .5 0 0", "v", "vt 0.25 1",
+             "vt 0 1 0", "vn 0 0 1", "vt", "# f 1 2 3", "", "usemtl v", "o \u00e4"]
+        ),
+        max_size=6,
+    ),
+    st.lists(
+        st.sampled_from(
+            ["f 1 2 3", "f 1 2 3 1", "f 1/1 2/1 3/1", "f 1/1/1 2/1/1 3/2/1", "f 1/1 2/2 3",
+             "f 0 1 2", "f -1 -2 -3", "f 1//1 2//1 3//1", "f 1 2", "f 1/1/1 2 3/1/1",
+             "f 1/1 2/1 3/1 1/2", "f", "f 99999999999 1 2", "f 1 2 3 ", "f \u0661 1 1", "v 3 2 1",
+             "g f"]
+        ),
+        max_size=4,
+    ),
+)  # fmt: skip
+def test_the_quick_reader_of_a_mesh_reads_what_the_thorough_one_does_or_leaves_it(
+    before: list[str], faces: list[str]
+) -> None:
+    lines = [f"{line}\n" for line in ("v 0 0 0", "v 0 1 0", *before, "f 1 2 1", *faces)]
+    if len(faces) > 1:
+        lines.remove("f 1 2 1\n")
+    quick = _read_plain(lines)
+    if quick is None:
+        return
+    thorough = _read_lines(lines, Path("mesh.obj"))
+    for name in ("vertices", "faces", "uvs", "face_uvs"):
+        one, other = getattr(quick, name), getattr(thorough, name)
+        assert (one is None) == (other is None), name
+        if one is not None:
+            assert one.dtype == other.dtype, name
+            np.testing.assert_array_equal(one, other, strict=True)
+
+
+def test_the_shipped_template_and_what_is_written_here_are_read_quickly(tmp_path: Path) -> None:
+    path = default_template_path() / "mesh.obj"
+    assert _read_plain(path.read_text().splitlines(keepends=True)) is not None
+    corners = np.array([[0.0, 0, 0], [1e-9, 1, 0], [-1, 1e9, 0]])
+    mesh = Mesh(corners, np.array([[0, 1, 2]], np.int32))
+    written = write_obj(mesh, tmp_path / "m.obj").read_text().splitlines(keepends=True)
+    assert _read_plain(written) is not None

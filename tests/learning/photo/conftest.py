@@ -17,7 +17,7 @@ from lightstage.formats.mesh import read_mesh
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import Template, default_template_path, load_template
 from processing.colour import srgb_from_linear
-from tests.learning.photo.scene import KEY, Shot, camera_at, on
+from tests.learning.photo.scene import KEY, SMALL, Shot, camera_at, on
 
 
 @pytest.fixture(scope="session")
@@ -28,6 +28,12 @@ def template() -> Template:
 @pytest.fixture(scope="session")
 def model(template: Template) -> ShapeModel:
     return shape_model(template, FitConfig())
+
+
+@pytest.fixture(scope="session")
+def small(template: Template) -> ShapeModel:
+    """The model of `SMALL`."""
+    return shape_model(template, SMALL)
 
 
 @pytest.fixture(scope="session")

@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from learning.photo.config import FitConfig
 from learning.photo.shape_fit import Places
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera, look_at
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 360, 480, 1000.0
+SMALL = FitConfig(identity_modes=20, free_modes=20)
+"""A fit of few unknowns."""
 KEY = LightSet(
     "key",
     np.array([[500.0, 400.0, 900.0]]),

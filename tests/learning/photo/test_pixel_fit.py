@@ -16,14 +16,14 @@ from learning.photo.config import FitConfig
 from learning.photo.face_light import Lit, irradiance
 from learning.photo.face_places import turned_normals
 from learning.photo.landmark_fit import Problem, Sighting
-from learning.photo.model import ShapeModel
+from learning.photo.model import ShapeModel, shape_model
 from learning.photo.outline import outline
 from learning.photo.picture import read_photograph
 from learning.photo.pixel_fit import PixelFit, State, skin, visible
 from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape
 from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.formats.template import Template
-from tests.learning.photo.scene import FOCAL_PX, HEIGHT_PX, WIDTH_PX, Shot, camera_at
+from tests.learning.photo.scene import FOCAL_PX, HEIGHT_PX, SMALL, WIDTH_PX, Shot, camera_at
 
 FACE_MM = 80.0
 
@@ -212,8 +212,9 @@ def shape_of(
     places: Places,
     network: WholeFaceNetwork,
     config: FitConfig,
+    model: ShapeModel,
 ) -> Shape:
-    return fit_shape([photo], template, places, config, network=network)
+    return fit_shape([photo], template, places, config, model, network)
 
 
 def test_pixels_bring_a_person_outside_the_modes_nearer(
@@ -221,9 +222,11 @@ def test_pixels_bring_a_person_outside_the_modes_nearer(
 ) -> None:
     # Without the template's modes the person is none that the model was made of.
     config = FitConfig(identity_modes=0, pixel_rounds=2)
-    photo = photograph(shot)
-    alone = shape_of(photo, template, places, network, dataclasses.replace(config, pixel_rounds=0))
-    found = shape_of(photo, template, places, network, config)
+    model, photo = shape_model(template, config), photograph(shot)
+    alone, found = (
+        shape_of(photo, template, places, network, how, model)
+        for how in (dataclasses.replace(config, pixel_rounds=0), config)
+    )
     before, after = (
         off_mm(shape.meshes[0].vertices, shot.mesh, template) for shape in (alone, found)
     )
@@ -254,15 +257,16 @@ def test_a_photograph_that_shows_nothing_leaves_the_landmarks_shape(
     template: Template,
     places: Places,
     network: WholeFaceNetwork,
+    small: ShapeModel,
 ) -> None:
     photo = photograph(shot)
     empty = dataclasses.replace(photo, rgb_linear=np.full_like(photo.rgb_linear, value))
-    config = FitConfig(pixel_rounds=1)
-    found = shape_of(empty, template, places, network, config)
+    config = dataclasses.replace(SMALL, pixel_rounds=1)
+    found = shape_of(empty, template, places, network, config, small)
     assert np.isfinite(found.meshes[0].vertices).all()
     assert np.isfinite(found.deviation_mm).all()
     if value == 0.0:
-        alone = shape_of(empty, template, places, network, FitConfig(pixel_rounds=0))
+        alone = shape_of(empty, template, places, network, SMALL, small)
         moved = np.linalg.norm(found.meshes[0].vertices - alone.meshes[0].vertices, axis=1)
         assert moved[found.model.face].mean() < 0.5
 
