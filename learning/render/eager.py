@@ -140,8 +140,7 @@ def ggx(half: Tensor, incidence: Tensor, toward_view: Tensor, exponent: Tensor) 
     density = squared / spread.square()
 
     def lengthened(cosine: Tensor) -> Tensor:
-        # Of small tensors torch takes this root in less time than `sqrt()`.
-        return cosine + (squared + (1 - squared) * cosine.square()) ** 0.5
+        return cosine + (squared + (1 - squared) * cosine.square()).sqrt()
 
     facets = density * incidence / (lengthened(incidence) * lengthened(toward_view))
     return torch.where((half > 0) & (incidence > 0) & (toward_view > 0), facets, 0.0)

@@ -169,7 +169,8 @@ def _numbers_of(lines: list[str], pattern: str, count: int, kind: type) -> np.nd
     if not lines:
         return np.zeros((0, count), kind)
     text = "".join(lines)
-    if re.fullmatch(f"(?:{pattern}\n)*(?:{pattern})?", text, re.ASCII) is None:
+    # Possessive: a million lines leave no million places to go back to.
+    if re.fullmatch(f"(?:{pattern}\n)*+(?:{pattern})?", text, re.ASCII) is None:
         return None
     return np.fromstring(text.replace("/", " "), kind, sep=" ").reshape(-1, count)
 
