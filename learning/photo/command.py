@@ -21,6 +21,7 @@ from learning.limits import require_within
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
+from learning.photo.eyes import whites_are_seen
 from learning.photo.fit import FittedHead, fit_head
 from learning.photo.grey import coloured, has_no_colour
 from learning.photo.page import write_page
@@ -30,7 +31,7 @@ from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.faces import detect_faces
-from lightstage.faces.schemes import FACE_MESH, IBUG, seen_points
+from lightstage.faces.schemes import FACE_MESH, IBUG, IBUG_PAIRS, ibug68, seen_points
 from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.environment import write_lights
 from lightstage.formats.exr import write_exr
@@ -46,6 +47,8 @@ FIT, PAGE, TEXTURE, LIGHT = "fit.json", "fit.html", "texture.exr", "light.json"
 MESH, NEUTRAL = "registered_mesh.obj", "neutral_mesh.obj"
 MAPS = "atlas"
 MOST_PHOTOGRAPHS = 32
+SURE = 0.9
+"""A detector that is less sure of a face is mentioned."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -189,16 +192,28 @@ class Marks:
         Raises:
             MapsError: no face, no face of that number, or none in the file.
         """
-        if self._file is not None:
-            for name in (path.name, path.stem):
-                if name in self._stated:
-                    return self._stated[name][self._there]
-            raise MapsError(
-                self._file,
-                field="points_px",
-                found=f"no {path.name}",
-                expected="the landmarks of each photograph, by its file's name",
+        stated = self._file is not None
+        points = self._stated_of(path) if stated else self._detected(path, rgb_linear, notes)
+        marks = points if len(points) == len(IBUG_PAIRS) else ibug68(points)
+        if whites_are_seen(rgb_linear, marks) is False:
+            notes.append(
+                f"{path.name} does not show the whites of the eyes (closed, in shade or behind "
+                "glasses), which tell how strong the light is: the skin's tone is less certain"
             )
+        return points[self._there]
+
+    def _stated_of(self, path: Path) -> np.ndarray:
+        for name in (path.name, path.stem):
+            if name in self._stated:
+                return self._stated[name]
+        raise MapsError(
+            self._file,
+            field="points_px",
+            found=f"no {path.name}",
+            expected="the landmarks of each photograph, by its file's name",
+        )
+
+    def _detected(self, path: Path, rgb_linear: np.ndarray, notes: list[str]) -> np.ndarray:
         shown = np.round(255 * srgb_from_linear(rgb_linear)).astype(np.uint8)
         faces = detect_faces(shown)
         if len(faces) < self._face:
@@ -216,7 +231,13 @@ class Marks:
                 f"{path.name} shows {len(faces)} faces: the largest was taken (--face 2 for the "
                 "next)"
             )
-        return seen_points(faces[self._face - 1], FACE_MESH)[self._there]
+        face = faces[self._face - 1]
+        if face.presence < SURE:
+            notes.append(
+                f"{path.name}: the detector is {100 * face.presence:.0f} % sure that this is a "
+                "face; look at the fit over it"
+            )
+        return seen_points(face, FACE_MESH)
 
 
 def write_fitted(folder: Path, fitted: FittedHead) -> None:

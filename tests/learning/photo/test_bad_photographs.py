@@ -139,6 +139,6 @@ def test_of_two_faces_the_larger_is_taken_and_a_third_is_none(
     largest = points(1, notes)
     assert "shows 2 faces: the largest was taken" in notes[0]
     assert np.nanmax(points(2, notes)) < np.nanmax(largest)
-    assert len(notes) == 1
+    assert sum("faces" in note for note in notes) == 1
     with pytest.raises(LightstageError, match=r"two\.png: .*2 faces.*3 faces \(--face\)"):
         points(3, notes)

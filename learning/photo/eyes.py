@@ -1,0 +1,80 @@
+"""Whether a photograph shows the whites of the eyes, by which skin's brightness is known.
+
+A dark face in bright light and a light one in dim light give the same skin in a photograph; the
+whites of the eyes differ little between people, and the network reads the light's strength from
+them. Behind sunglasses or closed lids there are none, and the tone is less certain.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+EYES = (slice(36, 42), slice(42, 48))
+"""Outlines among iBUG's 68 landmarks [Sagonas2016]."""
+SKIN = (2, 14, 29, 30, 31, 35)
+"""Beside these landmarks (jaw, nose) nearly every photograph shows skin."""
+LEAST_PX = 8
+"""Least width of an eye in which its white can be told from its iris."""
+AS_BRIGHT, AS_COLOURED, LEAST_SHARE = 0.4, 0.7, 0.08
+"""White is at least so bright beside skin, at most so saturated, and this share of an open eye."""
+
+
+def whites_are_seen(rgb_linear: np.ndarray, marks: np.ndarray) -> bool | None:
+    """Whether a face's photograph shows the white of an eye.
+
+    Args:
+        rgb_linear: (h, w, 3).
+        marks: (68, 2) px of iBUG's landmarks, NaN where hidden.
+
+    Returns:
+        None where it cannot be known: both eyes are hidden by the head or too small, or there is
+        no skin to compare with.
+    """
+    eyes = [marks[each] for each in EYES]
+    large = [eye for eye in eyes if np.isfinite(eye).all() and np.ptp(eye[:, 0]) >= LEAST_PX]
+    skin = _skin(rgb_linear, marks)
+    if not large or skin is None:
+        return None
+    return any(_white_share(rgb_linear, eye, skin) >= LEAST_SHARE for eye in large)
+
+
+def _skin(rgb: np.ndarray, marks: np.ndarray) -> np.ndarray | None:
+    """(3,) skin's colour, the median around some landmarks; None where nothing is known of it."""
+    known = marks[np.isfinite(marks).all(axis=1)]
+    if not len(known):
+        return None
+    around = max(2, int(0.04 * np.ptp(known, axis=0).max()))
+    beside = marks[list(SKIN)]
+    beside = beside[np.isfinite(beside).all(axis=1)]
+    near = np.clip(beside, 0, rgb.shape[1::-1]).astype(int)
+    squares = [
+        rgb[max(row - around, 0) : row + around, max(column - around, 0) : column + around]
+        for column, row in near
+    ]
+    colours = np.concatenate([np.zeros((0, 3)), *(each.reshape(-1, 3) for each in squares)])
+    colours = colours[np.isfinite(colours).all(axis=1)]
+    found = np.median(colours, axis=0) if len(colours) else np.zeros(3)
+    return found if found.max() > 0 else None
+
+
+def _white_share(rgb: np.ndarray, eye: np.ndarray, skin: np.ndarray) -> float:
+    """Share of an eye's opening that is nearly as bright as skin and clearly less coloured."""
+    opening = np.zeros(rgb.shape[:2], np.uint8)
+    inside_picture = np.clip(eye, -1, np.array(rgb.shape[1::-1]))
+    cv2.fillPoly(opening, [np.round(inside_picture).astype(np.int32)], 1)
+    inside = rgb[opening > 0]
+    inside = inside[np.isfinite(inside).all(axis=1)]
+    if not len(inside):
+        return 0.0
+    bright = inside.mean(axis=1) > AS_BRIGHT * skin.mean()
+    plain = _saturation(inside) < AS_COLOURED * _saturation(skin[None])[0]
+    # A photograph without colour tells by brightness alone.
+    colourless = _saturation(skin[None])[0] < 0.02
+    return float((bright & (plain | colourless)).mean())
+
+
+def _saturation(rgb: np.ndarray) -> np.ndarray:
+    """(n,) from 0, grey, to 1."""
+    most = rgb.max(axis=-1)
+    return np.asarray((most - rgb.min(axis=-1)) / np.maximum(most, 1e-6))

@@ -1,0 +1,162 @@
+"""Whites of the eyes and unusual photographs: what the fit's notes tell about them."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from learning.photo import command
+from learning.photo.command import FitRequest, read_all
+from learning.photo.eyes import EYES, SKIN, whites_are_seen
+from learning.photo.picture import read_photograph
+from lightstage.errors import LightstageError
+from lightstage.faces import detect_faces
+from lightstage.faces.detect import Face
+from lightstage.faces.schemes import FACE_MESH, ibug68, seen_points
+from lightstage.formats.template import Template, default_template_path
+from processing.colour import srgb_from_linear
+from tests.learning.photo.scene import Shot
+
+
+@pytest.fixture(scope="module")
+def light(shot: Shot) -> np.ndarray:
+    """(h, w, 3) linear."""
+    return read_photograph(shot.path)[0]
+
+
+@pytest.fixture(scope="module")
+def marks(light: np.ndarray) -> np.ndarray:
+    """(68, 2) as detected."""
+    shown = np.round(255 * srgb_from_linear(light)).astype(np.uint8)
+    return ibug68(seen_points(detect_faces(shown)[0], FACE_MESH))
+
+
+def over_eyes(light: np.ndarray, marks: np.ndarray, colour: np.ndarray, size: float) -> np.ndarray:
+    """The photograph with a disc before each eye; its radius in widths of the eye."""
+    out = light.copy()
+    for each in EYES:
+        eye = marks[each]
+        if np.isfinite(eye).all():
+            radius = int(size * np.ptp(eye[:, 0]))
+            centre = np.round(eye.mean(axis=0)).astype(int).tolist()
+            cv2.circle(out, centre, radius, colour.tolist(), -1)
+    return out
+
+
+def skin_of(light: np.ndarray, marks: np.ndarray) -> np.ndarray:
+    places = np.round(marks[list(SKIN)][np.isfinite(marks[list(SKIN)]).all(axis=1)]).astype(int)
+    return np.asarray(np.median(light[places[:, 1], places[:, 0]], axis=0), light.dtype)
+
+
+@pytest.mark.parametrize("brightness", [0.1, 1.0, 10.0])
+def test_open_eyes_show_white_at_any_exposure_and_hidden_or_closed_ones_none(
+    light: np.ndarray, marks: np.ndarray, brightness: float
+) -> None:
+    glasses = over_eyes(light, marks, np.full(3, 0.005, light.dtype), 1.0)
+    lids = over_eyes(light, marks, skin_of(light, marks), 0.6)
+    assert whites_are_seen(brightness * light, marks) is True
+    assert whites_are_seen(brightness * glasses, marks) is False
+    assert whites_are_seen(brightness * lids, marks) is False
+
+
+def test_eyes_that_are_turned_away_or_a_few_pixels_wide_tell_nothing(
+    light: np.ndarray, marks: np.ndarray
+) -> None:
+    away = marks.copy()
+    away[36:48] = np.nan
+    assert whites_are_seen(light, away) is None
+    assert whites_are_seen(cv2.resize(light, None, fx=0.2, fy=0.2), marks * 0.2) is None
+    assert whites_are_seen(light, np.full((68, 2), np.nan)) is None
+    assert whites_are_seen(0 * light, marks) is None
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    fill=st.sampled_from([0.0, -1.0, np.nan, np.inf, 1e-6, 1e6]),
+    share=st.floats(0, 1),
+    scale=st.sampled_from([1e-6, 1.0, 1e3, 1e6]),
+    lost=st.integers(0, 68),
+    seed=st.integers(0, 99),
+)
+def test_any_pixels_and_landmarks_give_an_answer_or_none(
+    fill: float, share: float, scale: float, lost: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    rgb = rng.random((30, 40, 3))
+    rgb[rng.random((30, 40)) < share] = fill
+    marks = scale * rng.standard_normal((68, 2))
+    marks[rng.permutation(68)[:lost]] = np.nan
+    assert whites_are_seen(rgb, marks) in (True, False, None)
+
+
+def drawn(light: np.ndarray) -> np.ndarray:
+    """White paper with dark lines where the photograph has edges."""
+    grey = np.round(255 * srgb_from_linear(light.mean(axis=2))).astype(np.uint8)
+    lines = cv2.Canny(grey, 30, 80)
+    return np.repeat((1.0 - 0.98 * (cv2.dilate(lines, np.ones((2, 2))) > 0))[:, :, None], 3, axis=2)
+
+
+def in_sunglasses(light: np.ndarray, marks: np.ndarray) -> np.ndarray:
+    return over_eyes(light, marks, np.full(3, 0.005, light.dtype), 0.9)
+
+
+def behind_a_hand(light: np.ndarray, marks: np.ndarray) -> np.ndarray:
+    """Four fingers before the mouth."""
+    out = light.copy()
+    mouth, wide = marks[48:60].mean(axis=0), np.ptp(marks[48:60, 0])
+    for finger in range(4):
+        centre = np.round(mouth + wide * np.array([0.4 * finger - 0.6, 0.2])).astype(int)
+        axes = (int(0.18 * wide), int(0.9 * wide))
+        colour = (skin_of(light, marks) * (0.8 + 0.1 * finger)).tolist()
+        cv2.ellipse(out, centre.tolist(), axes, 8, 0, 360, colour, -1)
+    return out
+
+
+def half_hidden(light: np.ndarray, marks: np.ndarray) -> np.ndarray:
+    """Half a face: the other one is behind a wall, as far as a profile goes."""
+    out = light.copy()
+    out[:, int(marks[30, 0]) :] = 0.3
+    return out
+
+
+def asked(odd: np.ndarray, template: Template, folder: Path) -> tuple[np.ndarray, str]:
+    """Landmarks and notes of a photograph."""
+    path = folder / "odd.png"
+    cv2.imwrite(str(path), np.round(255 * srgb_from_linear(odd))[:, :, ::-1].astype(np.uint8))
+    request = FitRequest((path,), default_template_path(), folder / "F")
+    photographs, _, notes = read_all(request, template)
+    return photographs[0].landmarks_px, " ".join(notes)
+
+
+@pytest.mark.parametrize(
+    ("change", "eyes"), [(in_sunglasses, True), (behind_a_hand, False), (half_hidden, False)]
+)
+def test_glasses_a_hand_and_half_a_face_give_landmarks_and_hidden_eyes_a_note(
+    light: np.ndarray, marks: np.ndarray, template: Template, tmp_path: Path, change, eyes: bool
+) -> None:
+    found, notes = asked(change(light, marks), template, tmp_path)
+    assert np.isfinite(found).all(axis=1).mean() > 0.3
+    assert ("whites of the eyes" in notes) is eyes
+
+
+def test_a_drawing_in_which_no_face_is_found_is_one_refusal(
+    light: np.ndarray, template: Template, tmp_path: Path
+) -> None:
+    with pytest.raises(LightstageError, match=r"odd\.png.*no face"):
+        asked(drawn(light), template, tmp_path)
+
+
+def test_a_face_that_the_detector_doubts_is_mentioned(
+    light: np.ndarray, template: Template, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def doubting(shown: np.ndarray) -> list[Face]:
+        return [dataclasses.replace(face, presence=0.65) for face in detect_faces(shown)]
+
+    monkeypatch.setattr(command, "detect_faces", doubting)
+    assert "65 % sure that this is a face" in asked(light, template, tmp_path)[1]
