@@ -192,8 +192,10 @@ class Marks:
         Raises:
             MapsError: no face, no face of that number, or none in the file.
         """
-        stated = self._file is not None
-        points = self._stated_of(path) if stated else self._detected(path, rgb_linear, notes)
+        if self._file is not None:
+            points = self._stated_in(self._file, path)
+        else:
+            points = self._detected(path, rgb_linear, notes)
         marks = points if len(points) == len(IBUG_PAIRS) else ibug68(points)
         if whites_are_seen(rgb_linear, marks) is False:
             notes.append(
@@ -202,12 +204,12 @@ class Marks:
             )
         return points[self._there]
 
-    def _stated_of(self, path: Path) -> np.ndarray:
+    def _stated_in(self, file: Path, path: Path) -> np.ndarray:
         for name in (path.name, path.stem):
             if name in self._stated:
                 return self._stated[name]
         raise MapsError(
-            self._file,
+            file,
             field="points_px",
             found=f"no {path.name}",
             expected="the landmarks of each photograph, by its file's name",
