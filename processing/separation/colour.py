@@ -80,8 +80,13 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
         lights: of the P patterns.
         config: see there.
     """
-    if not in_one_pass(config):
-        return maps_by_chroma(pixels, lights, config, relief_of(RELIEF, config))
+    if in_one_pass(config):
+        return separate_at_once(pixels, lights, config)
+    return maps_by_chroma(pixels, lights, config, relief_of(RELIEF, config))
+
+
+def separate_at_once(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
+    """What `separate_window` makes of pixels that are at hand as an array; arguments as above."""
     mask = pixels.mask
     values = np.zeros((pixels.rgb.shape[1], *mask.shape, 3), np.float32)
     values[:, mask] = pixels.rgb.transpose(1, 0, 2)

@@ -32,7 +32,7 @@ from processing.readings import px_per_mm
 from processing.separation.colour import (
     Readings,
     camera_rays,
-    separate_pixels,
+    separate_at_once,
     separate_window,
     window_readings,
 )
@@ -61,7 +61,7 @@ def maps_of(
     lights: PatternLights = LIGHTS,
     camera: Camera | None = CAMERA,
 ) -> PixelMaps:
-    return separate_pixels(pixels_of(rgb, camera), lights, config)
+    return separate_at_once(pixels_of(rgb, camera), lights, config)
 
 
 def pixels_of(rgb: np.ndarray, camera: Camera | None = CAMERA) -> Pixels:
@@ -139,7 +139,7 @@ def test_places_on_the_rays_make_normals_beside_the_centre_better() -> None:
     pixels = Pixels(rgb, valid, sight.views, sight.mask, scale)
     far, near = (
         angle_deg(
-            separate_pixels(
+            separate_at_once(
                 dataclasses.replace(pixels, camera=camera), LIGHTS, CONFIG
             ).diffuse_normal,
             sight.normals,
