@@ -30,7 +30,7 @@ needs_chromium = pytest.mark.skipif(
 
 
 def errors_of(browser: Browser) -> list[str]:
-    """What the page reports, without requests that its next page cut short (htmx logs two lines)."""
+    """What the page reports, without what htmx logs of requests that its next page cut short."""
     ends = [each for each in browser.errors if "htmx:afterRequest" in each]
     aborts = [each for each in browser.errors if "htmx:sendAbort" in each]
     cut_short = [*aborts, *ends[: len(aborts)]]
