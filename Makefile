@@ -10,10 +10,9 @@ INSTALL := $(BIN)/python -m pip install --quiet --quiet --no-cache-dir
 # Benchmarks that ask for folders or pictures are called by hand.
 BY_HAND := atlas_rerender atlas_session geometry_pictures registration_pictures
 BENCHMARKS = $(filter-out $(BY_HAND) stale, $(notdir $(basename $(shell grep -l '__name__ == "__main__"' benchmarks/*.py))))
-# Processes that share the tests: three on two cores, so that one's waits (a device's answer, a
-# deadline) are another's time; two where there are less than 5 GB of memory for each.
-WORKERS ?= $(shell most=$$(($$(nproc) * 3 / 2)); fit=$$(awk '/^MemTotal/ {print int($$2 / 5e6)}' /proc/meminfo); \
-	echo $$((fit < most ? fit : most)))
+# Processes that share the tests. A third one on two cores fills waits (a device's answer, a deadline)
+# and saves a tenth of the time, but a browser and a camera's deadline were then late.
+WORKERS ?= 2
 # Waiting threads sleep instead of spinning: the test workers share the cores.
 export OMP_WAIT_POLICY := PASSIVE
 # Every step and many tests start a process: they need not compile this code again.
