@@ -86,7 +86,7 @@ class _Server:
 
 
 class _Forked(subprocess.Popen):  # type: ignore[type-arg]  # of text and of bytes alike
-    """Popen whose process the server forks; `_execute_child` and `_try_wait` are Python 3.11's."""
+    """Popen whose process the server forks; the methods that it replaces are Python 3.11's."""
 
     def _execute_child(self, args: Any, *rest: Any) -> None:
         names = inspect.signature(super()._execute_child).parameters  # type: ignore[misc]
@@ -105,14 +105,10 @@ class _Forked(subprocess.Popen):  # type: ignore[type-arg]  # of text and of byt
         self._child_created = True
         self._close_pipe_fds(*(given[name] for name in PIPES))  # type: ignore[attr-defined]
 
-    def _try_wait(self, _: int) -> tuple[int, int]:
-        status = _server().status(self.pid)
-        return (0, 0) if status is None else (self.pid, status)
-
     def _internal_poll(self, *_: Any, **__: Any) -> int | None:
         if self.returncode is None:
-            pid, status = self._try_wait(os.WNOHANG)
-            if pid:
+            status = _server().status(self.pid)
+            if status is not None:
                 self._handle_exitstatus(status)
         return self.returncode
 

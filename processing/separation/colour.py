@@ -71,32 +71,11 @@ def in_one_pass(config: SeparateConfig) -> bool:
 
 
 def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
-    """Separation of one view's pixels that are at hand as an array.
+    """Separation where `config` asks for more than the one pass of `separate_window`.
 
-    By `separate_window`, or by `maps_by_chroma` where `config` asks for more than its one pass.
-
-    Args:
-        pixels: of the view.
-        lights: of the P patterns.
-        config: see there.
+    Arguments as of `maps_by_chroma`, which does it.
     """
-    if in_one_pass(config):
-        return separate_at_once(pixels, lights, config)
     return maps_by_chroma(pixels, lights, config, relief_of(RELIEF, config))
-
-
-def separate_at_once(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
-    """What `separate_window` makes of pixels that are at hand as an array; arguments as above."""
-    mask = pixels.mask
-    values = np.zeros((pixels.rgb.shape[1], *mask.shape, 3), np.float32)
-    values[:, mask] = pixels.rgb.transpose(1, 0, 2)
-    rays = np.zeros((mask.shape[0] + 1, mask.shape[1] + 1, 3), np.float32)
-    rays[:-1, :-1][mask] = -pixels.views
-    good = np.zeros(mask.shape, bool)
-    good[mask] = pixels.valid
-    place = np.zeros(3) if pixels.camera is None else pixels.camera.centre_mm
-    readings = Readings(values, 1.0, mask, good, (0, 0), rays, 1, place, pixels.px_per_mm)
-    return separate_window(readings, lights, config)
 
 
 def tile_mm(readings: Readings) -> float:

@@ -65,8 +65,7 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
     usable &= rgb.max(axis=1).mean(axis=1) > config.dark_level / 3
     rgb[~usable] = 0
     channels = [lights.channel(c) for c in range(3)]
-    # (3, cells, P, 3)
-    far = np.ascontiguousarray(np.stack([far_field(each) for each in channels]))
+    far = np.array([far_field(each) for each in channels], order="C")  # (3, cells, P, 3)
     view = views[usable].mean(axis=0) if usable.any() else np.array([0.0, 0.0, 1.0])
     wide = (config.roughness, config.roughness + 0.1)
     tables = [lobe_table(each, view, wide) for each in channels]

@@ -83,7 +83,7 @@ def light(
 def separate(
     pixels: Pixels, lights: PatternLights, config: SeparateConfig, camera_mm: np.ndarray
 ) -> Twin:
-    """What `colour.separate_pixels` claims to do for a camera at some place."""
+    """What `colour.separate_window` claims to do for a camera at some place."""
     rgb, valid, views = pixels.rgb.astype(float), pixels.valid, pixels.views
     mask, px_per_mm = pixels.mask, pixels.px_per_mm
     with np.errstate(all="ignore"):

@@ -32,7 +32,6 @@ from processing.readings import px_per_mm
 from processing.separation.colour import (
     Readings,
     camera_rays,
-    separate_at_once,
     separate_window,
     window_readings,
 )
@@ -42,6 +41,7 @@ from processing.separation.view_readings import Pixels
 from processing.view_maps import PixelMaps
 from tests.processing import coarse_twin, lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg
+from tests.processing.one_pass import separate_at_once
 
 RIG = lit_ball.small_rig(factor=0.014)
 CAMERA = RIG.cameras[0]

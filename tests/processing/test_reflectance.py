@@ -36,11 +36,11 @@ from processing.refinement.config import RefineConfig
 from processing.refinement.every_pixel import solve_view
 from processing.refinement.gloss_search import find_gloss
 from processing.refinement.scene import prepare_scene, read_view
-from processing.separation.colour import separate_pixels
 from processing.separation.config import SeparateConfig
 from processing.separation.view_readings import Pixels
 from tests.processing import lit_ball, shots
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg
+from tests.processing.one_pass import separate_at_once
 
 RIG = lit_ball.small_rig()
 CAMERA = RIG.cameras[0]
@@ -168,7 +168,7 @@ def test_coarse_separation_of_a_glossy_ball_errs_by_the_near_field_alone() -> No
     sight, rgb = separated(ball)
     valid = np.ones(len(rgb), bool)
     scale = px_per_mm(CAMERA)
-    maps = separate_pixels(
+    maps = separate_at_once(
         Pixels(rgb, valid, sight.views, sight.mask, scale), LIGHTS, SeparateConfig()
     )
     inner = (sight.normals * sight.views).sum(axis=1) > 0.3
@@ -285,7 +285,7 @@ def test_pixels_that_cannot_be_solved_are_zero_with_no_confidence(kind: str) -> 
     rgb, valid = bad_pixels(kind, good)
     rgb, valid = np.where(bad[:, None, None], rgb, good), valid | ~bad
     scale = px_per_mm(CAMERA)
-    maps = separate_pixels(
+    maps = separate_at_once(
         Pixels(rgb, valid, sight.views, sight.mask, scale), LIGHTS, SeparateConfig()
     )
     for values in (maps.diffuse_normal, maps.albedo, maps.specular, maps.confidence):

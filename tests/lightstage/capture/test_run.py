@@ -8,10 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from lightstage.capture import late_cameras
-from lightstage.capture.config import CaptureConfig
-from lightstage.capture.late_cameras import ExposureTimes
-from lightstage.errors import CaptureError, ConfigError, DeviceError, StoppedError
+from lightstage.errors import CaptureError, DeviceError, StoppedError
 from lightstage.findings import Finding
 from lightstage.formats.session import load_session
 from lightstage.leds.controller import LightLostError
@@ -478,37 +475,3 @@ def test_a_setting_that_drifted_is_told_set_back_and_the_photograph_taken_again(
     bench.run()
     assert camera.changed == [("white_balance", "Daylight")]
     assert bench.kept("x+") == ["cam0.dng", "cam0.take2.dng", "cam1.dng", "cam2.dng"]
-
-
-@pytest.mark.parametrize("value", [0.0, 0.4, 60.1, float("inf"), float("nan"), -1.0])
-def test_a_grace_that_would_void_good_photographs_or_never_ends_is_refused(value):
-    with pytest.raises(ConfigError, match=r"late_camera_grace_s: found .*, expected seconds from"):
-        CaptureConfig(late_camera_grace_s=value)
-
-
-def test_a_camera_without_an_exposure_is_waited_for_as_long_as_the_slowest_other_one_takes():
-    times = ExposureTimes(["1/60", "2", "Bulb", None])
-    assert times.usual_s(["cam0"]) == 2.0  # nothing else is known before the first exposure
-    times.note("cam0", 0.5)
-    assert times.usual_s(["cam0"]) == 2.0  # the shutter alone is open for so long
-    times.note("cam1", 4.0)
-    times.note("cam1", 3.0)
-    assert times.usual_s(["cam0"]) == 2.0
-    assert times.usual_s(["cam2"]) == times.usual_s(["cam0", "cam1"]) == 4.0
-
-
-def test_of_cameras_that_report_no_shutter_time_the_first_exposure_is_waited_for():
-    times = ExposureTimes(["Bulb", None])
-    assert times.usual_s(["cam0"]) is None
-    times.note("cam0", 0.5)
-    assert times.usual_s(["cam0"]) == 0.5
-
-
-def test_a_camera_that_is_slow_but_within_the_grace_keeps_its_light(bench, monkeypatch):
-    monkeypatch.setattr(late_cameras, "TELL_S", 0.3)
-    bench.config = dataclasses.replace(bench.config, late_camera_grace_s=4.0)
-    bench.cameras[2].faults[2] = "late"  # by a second
-    bench.run()
-    (finding,) = bench.events("waiting")
-    assert (finding["pattern"], finding["cameras"], finding["lit"]) == ("x+", ["cam2"], True)
-    assert bench.kept("x+") == ["cam0.dng", "cam1.dng", "cam2.dng"]
