@@ -16,12 +16,12 @@ import numpy as np
 from benchmarks.avatar_photos import Case, face_of, head_of, light_for, networks
 from benchmarks.networks_people import chosen
 from benchmarks.networks_scores import correlation, db, detail, squared
-from benchmarks.photo import GREY, camera_at, scored
+from benchmarks.photo import scored
+from benchmarks.photo_studio import Sitter
 from benchmarks.record import record
 from learning.photo.enlarge import texels_a_pixel
 from learning.photo.unwrap import unwrap
 from learning.render.uv import rasterise
-from learning.render.view import render_view
 from learning.upscale.infer import upscale
 from lightstage.formats.srgb import linear_from_srgb
 from lightstage.formats.template import default_template_path, load_template
@@ -47,9 +47,9 @@ def main() -> None:
         lit = head.image(head.lit.under(light_for(case))).astype(np.float32)
         raster = rasterise(head.mesh, *head.shown.shape)
         for coarser in COARSER:
-            camera = camera_at(head, 0.0).scaled(1 / coarser)
-            rgb, _ = render_view(lit, head.shown, head.mesh, camera, GREY)
-            codes = np.round(255 * srgb_from_linear(rgb))
+            sitter = Sitter(head, 0.0, 1 / coarser)
+            camera = sitter.camera
+            codes = np.round(255 * srgb_from_linear(sitter.under(light_for(case)))).clip(0, 255)
             rgb = linear_from_srgb(codes / 255).astype(np.float32)
             began = time.process_time()
             large = upscale(network, rgb)

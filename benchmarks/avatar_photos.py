@@ -20,7 +20,8 @@ from benchmarks.networks_head import relit_squares
 from benchmarks.networks_lights import light_of
 from benchmarks.networks_people import Head, Who, make
 from benchmarks.networks_scores import light_deg, specular_sums, squared
-from benchmarks.photo import apart, in_head, photograph, scored
+from benchmarks.photo import apart, in_head, scored
+from benchmarks.photo_studio import Sitter, photograph
 from benchmarks.record import changed, git
 from benchmarks.reflectance_people import folder
 from learning.checkpoint import (
@@ -40,7 +41,6 @@ from learning.photo.shape_fit import Photograph, Places
 from learning.render.uv import rasterise
 from learning.upscale.network import Rcan
 from learning.whole.detail import enlarged
-from learning.whole.gaps import continued
 from lightstage.formats.environment import LightSet
 from lightstage.formats.template import Template, default_template_path, load_template
 from processing.tones import ita_deg
@@ -152,13 +152,16 @@ def light_for(case: Case) -> LightSet:
     return light_of(case.light, zlib.crc32(case.who.name.encode()))
 
 
+@functools.lru_cache(maxsize=1)
+def sitter_of(who: Who, yaw_deg: float, rows: int) -> Sitter:
+    """A head before a camera: one at a time is held."""
+    return Sitter(head_of(who, rows), yaw_deg)
+
+
 def shot(case: Case) -> Photograph:
-    """The photograph; what no texel shows, such as the inside of lids, is continued from around."""
-    head = head_of(case.who, case.rows)
-    texture = head.image(head.lit.under(light_for(case))).astype(np.float32)
-    covered = rasterise(head.mesh, *head.shown.shape).covered
-    whole = continued(texture, head.shown)
-    return photograph(dataclasses.replace(head, shown=covered), whole, case.yaw_deg, places()[1])
+    """The photograph."""
+    sitter = sitter_of(case.who, case.yaw_deg, case.rows)
+    return photograph(sitter, light_for(case), places()[1], case.name)
 
 
 def fitted(case: Case, photographs: list[Photograph]) -> FittedHead:

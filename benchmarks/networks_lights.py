@@ -187,10 +187,16 @@ def starts(scene: Scene, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
 class LitPoints:
     """Points under lights, with rays cast once for each lamp."""
 
-    def __init__(self, scene: Scene, points: Points) -> None:
-        """The subject, and which places of it."""
-        self._scene, self.points = scene, points
-        self._view = views(points.position, points.geometric)
+    def __init__(self, scene: Scene, points: Points, view: np.ndarray | None = None) -> None:
+        """The subject, which places of it, and from where they are seen.
+
+        Args:
+            scene: the subject.
+            points: n places of it.
+            view: (n, 3) unit directions to the camera; those of an atlas, `views`, where None.
+        """
+        self.scene, self.points = scene, points
+        self._view = views(points.position, points.geometric) if view is None else view
         self._bits: dict[bytes, np.ndarray] = {}
         self._around: np.ndarray | None = None
 
@@ -253,7 +259,7 @@ class LitPoints:
 
     def kept(self, chosen: np.ndarray) -> LitPoints:
         """Some of the places, with the rays that were cast for them."""
-        other = LitPoints(self._scene, self.points.of(chosen))
+        other = LitPoints(self.scene, self.points.of(chosen), self._view[chosen])
         other._bits = {lamps: bits[chosen] for lamps, bits in self._bits.items()}
         return other
 
@@ -268,7 +274,7 @@ class LitPoints:
             toward = lamp - self.points.position
             above = np.flatnonzero((toward * self.points.geometric).sum(axis=1) > 0)
             target = np.broadcast_to(lamp, (len(above), 3))
-            free = ~self._scene.blocked(self.points.start[above], target)
+            free = ~self.scene.blocked(self.points.start[above], target)
             bits[above[free], index >> 3] |= np.uint8(1 << (index & 7))
         self._bits[key] = bits
         return bits

@@ -18,13 +18,20 @@ import numpy as np
 
 from benchmarks.networks_lights import light_of
 from benchmarks.networks_people import KINDS, Head, chosen, make
+from benchmarks.photo_studio import (
+    DISTANCE_MM,
+    FOCAL_PX,
+    HEIGHT_PX,
+    WIDTH_PX,
+    Sitter,
+    photograph,
+)
 from benchmarks.photo_texture import (
     CASES,
     FIRST,
     HEADER,
     Sums,
     measure_texture,
-    whole,
 )
 from benchmarks.photo_texture import YAWS_DEG as YAWS
 from benchmarks.record import record, table
@@ -33,15 +40,11 @@ from learning.photo.config import FitConfig
 from learning.photo.fit import FittedHead, fit_head
 from learning.photo.model import NOSE_TIP, shape_model
 from learning.photo.shape_fit import Photograph, Places, fit_shape
-from learning.render.uv import UvRaster, rasterise
+from learning.render.uv import rasterise
 from learning.render.view import render_view
-from lightstage.faces import detect_faces
-from lightstage.faces.schemes import FACE_MESH, seen_points
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import vertex_normals
-from lightstage.formats.srgb import linear_from_srgb
 from lightstage.formats.template import Template, default_template_path, load_template
-from lightstage.rig import Camera, look_at
 from processing.colour import srgb_from_linear
 
 LIGHTS = ("front", "warm-cool", "hard-oblique", "hard-side")
@@ -49,58 +52,10 @@ YAWS_DEG = (0, 30)
 THREE_DEG = (0, 30, -30)
 FACE_MM, FACING = 80.0, 0.3
 """The face that is scored: within this of the nose's tip, and its normals forward by so much."""
-AIM_MM = np.array([0.0, -20.0, 40.0])
-"""Where cameras look, head frame."""
-DISTANCE_MM, FOCAL_PX = 900.0, 2400.0
-WIDTH_PX, HEIGHT_PX = 768, 1024
-GREY = 0.25
 PIXEL_ROUNDS = 3
 """Of the shape from pixels, which the defaults leave out."""
 NUMBER = 3
 """Of the lights' draw."""
-
-
-def camera_at(head: Head, yaw_deg: float, scale: float = 1.0) -> Camera:
-    """A camera that looks at a head's face from a side, its picture made smaller or larger."""
-    turn = np.radians(yaw_deg)
-    place = AIM_MM + DISTANCE_MM * np.array([np.sin(turn), 0.0, np.cos(turn)])
-    from_head = look_at(place, AIM_MM)
-    pose = from_head @ np.vstack([head.head_from_world, [0, 0, 0, 1]])
-    camera = Camera(
-        "photo",
-        "",
-        "",
-        WIDTH_PX,
-        HEIGHT_PX,
-        FOCAL_PX,
-        FOCAL_PX,
-        WIDTH_PX / 2,
-        HEIGHT_PX / 2,
-        (0.0,) * 5,
-        pose,
-    )
-    return camera if scale == 1.0 else camera.scaled(scale)
-
-
-def photograph(
-    head: Head, texture: np.ndarray, yaw_deg: float, there: np.ndarray, scale: float = 1.0
-) -> Photograph:
-    """An 8-bit photograph of a lit head, its face found.
-
-    Args:
-        head: to be seen.
-        texture: (rows, columns, 3) lit.
-        yaw_deg: of the camera, to the head's left.
-        there: (468,) bool, points that the template knows.
-        scale: of the photograph's size.
-    """
-    camera = camera_at(head, yaw_deg, scale)
-    rgb, _ = render_view(texture, head.shown, head.mesh, camera, GREY)
-    codes = np.round(255 * srgb_from_linear(rgb)).astype(np.uint8)
-    faces = detect_faces(codes)
-    points = np.full((468, 2), np.nan) if not faces else seen_points(faces[0], FACE_MESH)
-    linear = linear_from_srgb(codes / 255.0).astype(np.float32)
-    return Photograph(f"{yaw_deg}", linear, points[there], camera.fx_px)
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -190,10 +145,10 @@ def measure(
 
     scores.mean.append(off(template.mesh.vertices))
     shapes = []
+    sitters = {yaw: Sitter(head, yaw, scale) for yaw in THREE_DEG}
     for name in LIGHTS:
         light = light_of(name, NUMBER)
-        texture = head.image(head.lit.under(light)).astype(np.float32)
-        shots = {yaw: photograph(head, texture, yaw, there, scale) for yaw in THREE_DEG}
+        shots = {yaw: photograph(each, light, there, f"{yaw}") for yaw, each in sitters.items()}
         lost = [yaw for yaw, shot in shots.items() if not np.isfinite(shot.landmarks_px).any()]
         scores.lost += len(lost)
         for yaw in YAWS_DEG:
@@ -294,11 +249,11 @@ def write_texture(arguments: argparse.Namespace, template: Template) -> None:
         people = chosen([kind], arguments.count, arguments.unseen)
         for who in people:
             head = make(who, arguments.rows)
-            shown = dataclasses.replace(head, shown=raster_of(head).covered)
-            shots = {}
-            for light, yaw in {key for case in CASES.values() for key in case}:
-                lit = whole(head.image(head.lit.under(light_of(light, NUMBER))), head)
-                shots[light, yaw] = photograph(shown, lit, yaw, there, arguments.scale)
+            sitters = {yaw: Sitter(head, yaw, arguments.scale) for yaw in YAWS}
+            shots = {
+                (light, yaw): photograph(sitters[yaw], light_of(light, NUMBER), there, f"{yaw}")
+                for light, yaw in {key for case in CASES.values() for key in case}
+            }
             measure_texture(head, near & head.skin, shots, template, places, arguments.rows, sums)
         name = f"{kind}, unseen half" if arguments.unseen and kind == "ict" else kind
         body += [sums[case].row(f"{name} ({len(people)})", case) for case in CASES]
@@ -314,11 +269,6 @@ def write_texture(arguments: argparse.Namespace, template: Template) -> None:
         f"warm-cool; textures of {arguments.rows} rows. PSNR of sRGB values, over skin of the face "
         "and over all skin of the head.",
     )
-
-
-def raster_of(head: Head) -> UvRaster:
-    """A head's texels."""
-    return rasterise(head.mesh, *head.shown.shape)
 
 
 def _row(name: str, scores: Scores) -> list[str]:

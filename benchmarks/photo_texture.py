@@ -18,7 +18,6 @@ from learning.checkpoint import load_whole_face, shipped_weights
 from learning.photo.config import FitConfig
 from learning.photo.fit import FittedHead, fit_head
 from learning.photo.shape_fit import Photograph, Places
-from learning.whole.gaps import continued
 from lightstage.formats.template import Template
 
 FIRST = "hard-oblique"
@@ -117,8 +116,3 @@ def scores(
         "albedo face": squared(maps[face], albedo[face]),
         "albedo skin": squared(maps[skin], albedo[skin]),
     }
-
-
-def whole(texture: np.ndarray, head: Head) -> np.ndarray:
-    """A lit texture without gaps, as photographs show it."""
-    return continued(texture.astype(np.float32), head.shown)

@@ -16,9 +16,11 @@ from lightstage.rig import Camera
 SAME_MM = 1.0
 """A texel is seen where a ray toward it meets the surface no farther from it than that."""
 STEP_MM = 8.0
-"""A change of depth within `EDGE_PX` that is an edge: a texel behind it may show what is before
+"""A change of depth within `EDGE_MM` that is an edge: a texel behind it may show what is before
 it, as the shape is never quite that of the photograph."""
+EDGE_MM = 1.5
 EDGE_PX = 4
+"""That many pixels of the picture of depth where it is fine enough, and never less than one."""
 GRAZING = 0.2
 """Cosine to the camera below which a texel is not taken from the photograph."""
 LARGEST_DEPTH_PX = 1024
@@ -69,7 +71,8 @@ def unwrap(
     scene = scene_of(mesh)
     met = cast_from(scene, camera.centre_mm, -toward[seen] / distance[seen, None])["t_hit"]
     seen[seen] = met > distance[seen] - SAME_MM / np.maximum(cosine[seen], GRAZING)
-    seen[seen] = ~_edges(scene, camera, place[seen])
+    if seen.any():
+        seen[seen] = ~_edges(scene, camera, place[seen], float(np.median(distance[seen])))
     if person is not None:
         column, row = place[seen].astype(int).T
         seen[seen] = person[row, column]
@@ -84,14 +87,33 @@ def smaller(camera: Camera, largest_px: int) -> Camera:
     return camera if longer <= largest_px else camera.scaled(largest_px / longer)
 
 
+def depth_camera(camera: Camera, away_mm: float) -> tuple[Camera, int]:
+    """The camera of the picture in which edges of depth are looked for, and how far, in pixels.
+
+    In a photograph of few pixels the cheek's slope would be a step of depth from pixel to pixel,
+    so that the picture of depth has pixels of its own: as large as `EDGE_MM` asks, of at most
+    `LARGEST_DEPTH_PX` a side.
+
+    Args:
+        camera: of the photograph.
+        away_mm: distance of what it shows.
+    """
+    finest = EDGE_PX * away_mm / (EDGE_MM * camera.fx_px)
+    scale = min(finest, LARGEST_DEPTH_PX / max(camera.width_px, camera.height_px))
+    return camera.scaled(scale), max(1, round(EDGE_PX * scale / finest))
+
+
 def _edges(
-    scene: open3d.t.geometry.RaycastingScene, camera: Camera, place_px: np.ndarray
+    scene: open3d.t.geometry.RaycastingScene,
+    camera: Camera,
+    place_px: np.ndarray,
+    away_mm: float,
 ) -> np.ndarray:
-    """(n,) bool, whether (n, 2) places are beside a step of depth."""
-    small = smaller(camera, LARGEST_DEPTH_PX)
+    """(n,) bool, whether (n, 2) places, so far away, are beside a step of depth."""
+    small, reach = depth_camera(camera, away_mm)
     met = cast_from(scene, *small.pixel_rays())["t_hit"]
     depth = np.where(np.isfinite(met), met, 1e6).reshape(small.height_px, small.width_px)
-    kernel = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), np.uint8)
+    kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     step = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel) > STEP_MM
     # Only what is behind the step is in doubt.
     behind = step & (depth > cv2.erode(depth, kernel) + STEP_MM / 2)

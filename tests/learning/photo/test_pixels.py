@@ -56,6 +56,20 @@ def test_a_larger_mesh_leaves_the_wall_behind_the_person_out(shot: Shot, model: 
     np.testing.assert_array_equal(alone.texture[alone.seen], with_wall.texture[alone.seen])
 
 
+def test_a_photograph_of_few_pixels_shows_as_much_of_the_face(shot: Shot) -> None:
+    raster = rasterise(shot.mesh, ROWS, ROWS * 2 // 3)
+
+    def seen(scale: float) -> np.ndarray:
+        camera = shot.camera.scaled(scale)
+        grey = np.full((camera.height_px, camera.width_px, 3), 0.3, np.float32)
+        return unwrap(grey, shot.mesh, raster, camera).seen
+
+    usual = seen(2.0)
+    for scale in (1 / 8, 1 / 2, 8.0):
+        # Most that differs is at the picture's border and beside the nose.
+        assert (seen(scale) != usual).sum() < 0.06 * usual.sum()
+
+
 def test_without_a_wall_all_pixels_are_the_persons(shot: Shot, model: ShapeModel) -> None:
     near = camera_at(0.0, focal_px=6000.0)
     rgb = np.full((near.height_px, near.width_px, 3), 0.3, np.float32)
@@ -77,10 +91,10 @@ def test_an_enlarged_photograph_shows_each_texel_what_the_photograph_does(
     raster = rasterise(shot.mesh, ROWS, ROWS * 2 // 3)
     times = texels_a_pixel(shot.mesh, raster, model.face, camera)
     assert 1.5 < times < 5
-    # A colour that tells the place in the picture.
+    # A colour that tells the place in the picture, not far from skin's, which the network knows.
     row, column = np.mgrid[: camera.height_px, : camera.width_px]
-    rgb = np.stack([row / camera.height_px, column / camera.width_px, 0.3 + 0 * row], axis=2)
-    rgb = (0.2 + 0.5 * rgb).astype(np.float32)
+    rgb = np.stack([row / camera.height_px, column / camera.width_px, 0 * row], axis=2)
+    rgb = ((0.45, 0.3, 0.3) + 0.25 * (rgb - 0.5)).astype(np.float32)
     person = np.ones(rgb.shape[:2], bool)
     person[: camera.height_px // 2] = False
     found = enlarged(rgb, person, shot.mesh, raster, model.face, camera, network)
@@ -90,7 +104,7 @@ def test_an_enlarged_photograph_shows_each_texel_what_the_photograph_does(
     both = one.seen & other.seen
     # A coarse picture has wide edges of depth, from which no texel is taken.
     assert both.sum() > 0.95 * one.seen.sum() > 300
-    np.testing.assert_allclose(one.texture[both], other.texture[both], atol=0.004)
+    np.testing.assert_allclose(one.texture[both], other.texture[both], atol=0.002)
 
 
 @pytest.mark.parametrize("scale", [0.08, 2.0])
