@@ -17,6 +17,7 @@ from lightstage.commands import (
 )
 from lightstage.counting import counted
 from lightstage.formats.access import group_of, limited_access
+from lightstage.formats.template import default_template_path
 
 PhotosArgument = Annotated[
     list[Path],
@@ -27,7 +28,11 @@ PhotosArgument = Annotated[
 ]
 FaceTemplateOption = Annotated[
     Path,
-    typer.Option("--template", help="Template's folder, whose topology and UV the head has."),
+    typer.Option(
+        "--template",
+        help="Template's folder, whose topology and UV the head has.",
+        show_default="the project's own",
+    ),
 ]
 CheckpointOption = Annotated[
     Path | None,
@@ -81,10 +86,10 @@ def register(app: typer.Typer) -> None:
 
 def fit(
     photo: PhotosArgument,
-    template: FaceTemplateOption,
     out: Annotated[
         Path, output_folder("--out", help="Folder to make; one of an earlier fit is replaced.")
     ],
+    template: FaceTemplateOption = default_template_path(),
     landmarks: MarksOption = None,
     face: FaceOption = 1,
     film_mm: FilmOption = None,
@@ -116,10 +121,10 @@ def fit(
 
 
 def avatar(
-    template: FaceTemplateOption,
     out: Annotated[
         Path, output_folder("--out", help="Folder of the avatar; what is up to date stays.")
     ],
+    template: FaceTemplateOption = default_template_path(),
     photo: Annotated[
         list[Path] | None,
         typer.Argument(
