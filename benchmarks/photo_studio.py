@@ -12,9 +12,10 @@ import numpy as np
 
 from benchmarks.networks_lights import LitPoints, Points
 from benchmarks.networks_people import Head
+from learning.photo.eyes import openings
 from learning.photo.shape_fit import Photograph
 from lightstage.faces import detect_faces
-from lightstage.faces.schemes import FACE_MESH, seen_points
+from lightstage.faces.schemes import FACE_MESH, ibug68, seen_points
 from lightstage.formats.environment import LightSet
 from lightstage.formats.srgb import linear_from_srgb
 from lightstage.rig import Camera, look_at
@@ -95,4 +96,5 @@ def photograph(sitter: Sitter, lights: LightSet, there: np.ndarray, name: str) -
     faces = detect_faces(codes)
     points = np.full((468, 2), np.nan) if not faces else seen_points(faces[0], FACE_MESH)
     linear = linear_from_srgb(codes / 255.0).astype(np.float32)
-    return Photograph(name, linear, points[there], sitter.camera.fx_px)
+    eyes_px = openings(linear, ibug68(points))
+    return Photograph(name, linear, points[there], sitter.camera.fx_px, eyes_px)

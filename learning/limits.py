@@ -115,6 +115,8 @@ LIMITS: dict[str, tuple[float, float]] = {
     "fit.asymmetry": (0, 1),
     "fit.expression_spread": (1e-3, 2),
     "fit.refine_seconds": (0, 3600),
+    "fit.marks_share": (0, 1),
+    "fit.detail_share": (0, 1),
     "fit.rounds": (1, 5),
     "fit.pixel_rounds": (0, 20),
     "fit.pixel_deviation": (1e-3, 10),

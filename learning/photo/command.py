@@ -21,7 +21,7 @@ from learning.limits import require_within
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
-from learning.photo.eyes import whites_are_seen
+from learning.photo.eyes import openings, whites_are_seen
 from learning.photo.fit import FittedHead, fit_head
 from learning.photo.grey import coloured, has_no_colour
 from learning.photo.page import write_page
@@ -125,8 +125,8 @@ def read_all(request: FitRequest, template: Template) -> tuple[list[Photograph],
     photographs = []
     for path in paths:
         rgb, focal = read_photograph(path, request.film_mm)
-        points = marks.of(path, rgb, notes)
-        photographs.append(Photograph(path.name, rgb, points, focal))
+        points, eyes_px = marks.of(path, rgb, notes)
+        photographs.append(Photograph(path.name, rgb, points, focal, eyes_px))
         if focal is None:
             notes.append(
                 f"{path.name} does not state its focal length: it was fitted, and the face's depth "
@@ -186,8 +186,10 @@ class Marks:
             weights = np.tile([1.0, 0.0, 0.0], (len(corners), 1))
             self.places = Places(corners, weights, np.zeros(len(corners)))
 
-    def of(self, path: Path, rgb_linear: np.ndarray, notes: list[str]) -> np.ndarray:
-        """(p, 2) landmarks of a photograph, NaN where hidden.
+    def of(
+        self, path: Path, rgb_linear: np.ndarray, notes: list[str]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(p, 2) landmarks of a photograph, NaN where hidden, and `openings` of its eyes.
 
         Raises:
             MapsError: no face, no face of that number, or none in the file.
@@ -202,7 +204,7 @@ class Marks:
                 f"{path.name} does not show the whites of the eyes (closed, in shade or behind "
                 "glasses), which tell how strong the light is: the skin's tone is less certain"
             )
-        return points[self._there]
+        return points[self._there], openings(rgb_linear, marks)
 
     def _stated_in(self, file: Path, path: Path) -> np.ndarray:
         for name in (path.name, path.stem):

@@ -24,6 +24,10 @@ class FitConfig:
         asymmetry: standard deviation of what the two sides of a face do not share, of `free_mm`.
         expression_spread: standard deviation of an expression's strength; 1 is its full one.
         refine_seconds: for the search of the light and the skin under it, at most.
+        marks_share: part of what the photograph shows beside the skins that people have, some
+            millimetres wide and more, that is taken for the person's own: moles, stubble, brows.
+            The rest is taken for light that the fitted shape did not explain.
+        detail_share: the same of all that is finer.
         rounds: of light, skin and mask in turns.
         pixel_rounds: of the shape from pixels and outlines after the landmarks, such as 3; 0 for
             landmarks alone, which were nearer on people kept apart (docs/photo.md).
@@ -47,6 +51,8 @@ class FitConfig:
     asymmetry: float = 0.25
     expression_spread: float = 0.25
     refine_seconds: float = 20.0
+    marks_share: float = 0.2
+    detail_share: float = 0.75
     rounds: int = 2
     pixel_rounds: int = 0
     pixel_deviation: float = 0.12

@@ -20,6 +20,7 @@ from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
 from learning.photo.enlarge import Enlarged, enlarged, texels_a_pixel
+from learning.photo.eyes import eye_texels, with_eyes
 from learning.photo.foreground import foreground
 from learning.photo.several import Joined, View, join
 from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape
@@ -31,6 +32,7 @@ from learning.upscale.network import Rcan
 from learning.whole.detail import enlarged as resized
 from learning.whole.gaps import continued
 from learning.whole.infer import infer_whole_face
+from learning.whole.refine import ALL_OWN, OwnShares
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
@@ -130,7 +132,9 @@ def fit_head(
                 "shape, not the texture"
             )
         progress(2 + index, steps)
-    texels = [_Texels(each, config.rows, shape.model.face, super_resolution) for each in looked]
+    texels = [
+        _Texels(each, config.rows, template, shape.model.face, super_resolution) for each in looked
+    ]
     together = _together(looked, texels)
     seen, first, camera = together.seen, texels[0], shape.cameras[0]
     # The light is the first photograph's. All that this one shows goes to the network, which knows
@@ -138,7 +142,14 @@ def fit_head(
     # tone was off.
     network_sees = together.first if several else None
     inferred = first.inferred(
-        network, together.texture, seen, config.refine_seconds, camera, mesostructure, network_sees
+        network,
+        together.texture,
+        seen,
+        config.refine_seconds,
+        camera,
+        mesostructure,
+        network_sees,
+        own=OwnShares(config.marks_share, config.detail_share, first.eyes),
     )
     progress(steps - 1, steps)
     notes += inferred.notes
@@ -216,7 +227,7 @@ def _look(
     person = foreground(photograph.rgb_linear, mesh, vertices, camera)
     nothing = np.zeros((COARSE_ROWS, COARSE_ROWS * 2 // 3), bool)
     looked = _Looked(photograph, index, mesh, camera, person, 0.0, nothing, 0.0, None)
-    coarse = _Texels(looked, COARSE_ROWS, vertices)
+    coarse = _Texels(looked, COARSE_ROWS, template, vertices)
     face = coarse.raster.interpolate(vertices[:, None].astype(float))[..., 0] > 0.5
     shown = coarse.unwrapped.seen
     share = float((shown & face).sum() / max(face.sum(), 1))
@@ -283,7 +294,12 @@ class _Texels:
     """A photograph in the texels of its mesh."""
 
     def __init__(
-        self, looked: _Looked, rows: int, face: np.ndarray, super_resolution: Rcan | None = None
+        self,
+        looked: _Looked,
+        rows: int,
+        template: Template,
+        face: np.ndarray,
+        super_resolution: Rcan | None = None,
     ) -> None:
         self.name, self.mesh = looked.photograph.name, looked.mesh
         camera, person = looked.camera, looked.person
@@ -299,6 +315,14 @@ class _Texels:
         self.unwrapped: Unwrapped = unwrap(
             shown.rgb_linear, self.mesh, self.raster, shown.camera, shown.person
         )
+        self.eyes: np.ndarray | None = None
+        eyes, photograph = eye_texels(template, self.raster), looked.photograph
+        if eyes is not None and photograph.eyes_px is not None:
+            open_ones = np.isfinite(photograph.eyes_px).all(axis=(1, 2))
+            self.eyes = eyes.texels[open_ones].any(axis=0)
+            self.unwrapped = with_eyes(
+                self.unwrapped, photograph.rgb_linear, photograph.eyes_px, eyes
+            )
 
     def inferred(
         self,
@@ -310,6 +334,7 @@ class _Texels:
         mesostructure: TrainedMesostructure | None,
         network_sees: np.ndarray | None = None,
         largest_misfit: float = LARGEST_MISFIT,
+        own: OwnShares = ALL_OWN,
     ) -> Inferred:
         """Skin and light of the texels that are shown; see `infer_whole_face`."""
         return infer_whole_face(
@@ -323,6 +348,7 @@ class _Texels:
             camera_mm=camera.centre_mm,
             largest_misfit=largest_misfit,
             network_sees=network_sees,
+            own=own,
         )
 
 

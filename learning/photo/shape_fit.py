@@ -29,12 +29,15 @@ class Photograph:
         rgb_linear: (h, w, 3) float32, 1 = the picture's white.
         landmarks_px: (p, 2), NaN where hidden.
         focal_px: where the file states it.
+        eyes_px: (2, 3, 2) where the eyes are open, see `learning.photo.eyes.openings`; None where
+            that was not sought.
     """
 
     name: str
     rgb_linear: np.ndarray
     landmarks_px: np.ndarray
     focal_px: float | None = None
+    eyes_px: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -29,7 +29,15 @@ from learning.networks.whole_face import WholeFaceNetwork, face_input
 from learning.render.shading import unit
 from learning.render.uv import UvRaster, rasterise
 from learning.whole.detail import enlarged, with_detail
-from learning.whole.refine import CAMERA_MM, LARGEST_MISFIT, Answer, Refined, refine
+from learning.whole.refine import (
+    ALL_OWN,
+    CAMERA_MM,
+    LARGEST_MISFIT,
+    Answer,
+    OwnShares,
+    Refined,
+    refine,
+)
 from lightstage.counting import counted
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
@@ -62,6 +70,7 @@ def infer_whole_face(
     camera_mm: np.ndarray | None = None,
     largest_misfit: float = LARGEST_MISFIT,
     network_sees: np.ndarray | None = None,
+    own: OwnShares = ALL_OWN,
 ) -> Inferred:
     """Infer a texture's reflectance.
 
@@ -84,6 +93,7 @@ def infer_whole_face(
             leaves more than a true one.
         network_sees: (rows, columns) bool, texels that the network is shown, which decide the
             light and the tone; all that are photographed where None.
+        own: with refinement, what of the texture is the skin's own.
 
     Returns:
         Maps of the texture's size in the mesh's axes; zero where no surface is. Normals are the
@@ -110,7 +120,7 @@ def infer_whole_face(
         if camera_mm is not None:
             viewed = head_from_mesh[:, :3] @ camera_mm + head_from_mesh[:, 3]
         asked = (texture, photographed, head, raster, refine_seconds, mesostructure, viewed)
-        found = refine(network, answer, *asked, largest_misfit)
+        found = refine(network, answer, *asked, largest_misfit, own)
         if isinstance(found, str):
             notes = [*notes, f"{named[0]} was not refined, the network's answer is used: {found}"]
         else:

@@ -34,9 +34,6 @@ CAMERA_MM = np.array([0.0, 0.0, 1100.0])
 ROUNDS = 8
 SETTLED = 0.003
 """A round that changes no texel's albedo by more than this share is the last."""
-MARKS_SHARE = 0.6
-"""Part of a difference from the modes, at the network's size, that is taken for the skin's own. Our
-people's and ICT's are nearest to the truth at less, the scanned head at more."""
 LEAST_COVERED = 0.3
 """Share of surface in a texel at the network's size from which it counts."""
 WIDEST_MARK = 1 / 6
@@ -52,6 +49,29 @@ LARGEST_MISFIT = 1.7
 one's 2."""
 LARGEST_ROWS = 1536
 """Light is followed at so many rows at most, and enlarged for larger textures."""
+
+
+@dataclasses.dataclass(frozen=True)
+class OwnShares:
+    """Parts of what a texture over its light shows that are taken for the skin's own, 0..1.
+
+    Where the shape is not quite the person's, more of it is light that was not taken out.
+
+    Attributes:
+        marks: of a difference from the skins that people have, at the network's size. By true
+            shapes our people and ICT's are nearest to the truth at less, the scanned head at more.
+        detail: of all that is finer.
+        whole: (rows, columns) bool, texels that are the person's own as they are, such as eyes;
+            none where None.
+    """
+
+    marks: float = 0.6
+    detail: float = 1.0
+    whole: np.ndarray | None = None
+
+
+ALL_OWN = OwnShares()
+"""For textures of true shapes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,6 +123,7 @@ def refine(
     mesostructure: TrainedMesostructure | None = None,
     camera_mm: np.ndarray = CAMERA_MM,
     largest_misfit: float = LARGEST_MISFIT,
+    own: OwnShares = ALL_OWN,
 ) -> Refined | str:
     """Take the light out of a texture, beginning with a network's answer.
 
@@ -117,6 +138,7 @@ def refine(
         mesostructure: finds pores and folds in the texture's detail; all detail is skin where None.
         camera_mm: (3,) from where the texture was photographed, head frame.
         largest_misfit: of a light that is taken for the texture's.
+        own: what of the texture is the skin's own.
 
     Returns:
         The light and the skin, or why there are none, in words.
@@ -156,7 +178,7 @@ def refine(
         tilts = (found_there.diffuse_tilt, found_there.specular_tilt)
         normals = (frame.tilted(tilts[0]), frame.tilted(tilts[1]))
     sides = sides_mirror(network.mean_position_mm[0].permute(1, 2, 0).numpy())
-    albedo = _with_marks(low_albedo, unlit, known, raster.covered, sides)
+    albedo = _with_marks(low_albedo, unlit, known, raster.covered, sides, own)
     return Refined(albedo, known, _light_set(light), normals)
 
 
@@ -293,7 +315,12 @@ def _frame(mesh: Mesh, raster: UvRaster) -> Frame:
 
 
 def _with_marks(
-    low_albedo: np.ndarray, unlit: np.ndarray, known: np.ndarray, covered: np.ndarray, sides: bool
+    low_albedo: np.ndarray,
+    unlit: np.ndarray,
+    known: np.ndarray,
+    covered: np.ndarray,
+    sides: bool,
+    own: OwnShares,
 ) -> np.ndarray:
     """The albedo at a texture's own size.
 
@@ -303,6 +330,7 @@ def _with_marks(
         known: (rows, columns) bool, where that shows the skin.
         covered: (rows, columns) bool, where a surface is.
         sides: see `without_gaps`.
+        own: what of the texture is the skin's own.
     """
     base = enlarged(np.log(low_albedo), *known.shape)
     beside = without_gaps(np.log(unlit) - base, known, covered, sides)
@@ -310,9 +338,12 @@ def _with_marks(
     share = _shrunk(covered.astype(np.float32), size)
     coarse = _shrunk(beside, size) / np.maximum(share, LEAST_COVERED)[..., None]
     there = share > LEAST_COVERED
-    # Of this size a part is the skin's own, and all that is finer.
-    light = coarse * there[..., None] - MARKS_SHARE * _marks(coarse, there)
-    albedo: np.ndarray = np.exp(np.minimum(base + beside - enlarged(light, *known.shape), 0.0))
+    finer = beside - enlarged(coarse * there[..., None], *known.shape)
+    marks = enlarged(own.marks * _marks(coarse, there), *known.shape)
+    own_part = marks + own.detail * finer
+    if own.whole is not None:
+        own_part = np.where(own.whole[..., None], beside, own_part)
+    albedo: np.ndarray = np.exp(np.minimum(base + own_part, 0.0))
     return albedo
 
 

@@ -157,3 +157,22 @@ def test_a_mark_is_skin_and_a_slope_over_the_face_is_light() -> None:
     assert np.abs(refine._marks(slope, known)[24:-24]).max() < 0.1
     nothing = refine._marks(slope, np.zeros((96, 64), bool))
     assert not nothing.any()
+
+
+def test_shares_of_nothing_leave_the_skins_that_people_have_and_whole_texels_stay() -> None:
+    rng = np.random.default_rng(3)
+    low = np.full((12, 8, 3), 0.3)
+    unlit = 0.3 * np.exp(0.3 * rng.standard_normal((48, 32, 3))).clip(0.2, 3)
+    everywhere = np.ones((48, 32), bool)
+    eyes = np.zeros((48, 32), bool)
+    eyes[10:16, 8:14] = True
+
+    def albedo(own: refine.OwnShares) -> np.ndarray:
+        return refine._with_marks(low, unlit, everywhere, everywhere, False, own)
+
+    found = albedo(refine.OwnShares(0.0, 0.0, eyes))
+    np.testing.assert_allclose(found[~eyes], 0.3, rtol=1e-6)
+    np.testing.assert_allclose(found[eyes], unlit[eyes], rtol=1e-5)
+    # With all of its detail the texture differs by what is coarse alone.
+    all_detail = np.log(albedo(refine.OwnShares(0.0, 1.0)) / unlit)
+    assert all_detail.std() < 0.5 * np.log(unlit / 0.3).std()

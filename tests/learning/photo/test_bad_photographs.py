@@ -133,7 +133,7 @@ def test_of_two_faces_the_larger_is_taken_and_a_third_is_none(
 
     def points(number: int, notes: list[str]) -> np.ndarray:
         request = FitRequest((path,), default_template_path(), tmp_path / "F", face=number)
-        return Marks(request, template).of(path, light, notes)
+        return Marks(request, template).of(path, light, notes)[0]
 
     notes: list[str] = []
     largest = points(1, notes)

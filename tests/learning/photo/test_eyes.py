@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 
 from learning.photo import command
 from learning.photo.command import FitRequest, read_all
-from learning.photo.eyes import EYES, SKIN, whites_are_seen
+from learning.photo.eyes import EYES, SKIN, eye_texels, openings, whites_are_seen, with_eyes
 from learning.photo.picture import read_photograph
+from learning.photo.unwrap import unwrap
+from learning.render.uv import rasterise
 from lightstage.errors import LightstageError
 from lightstage.faces import detect_faces
 from lightstage.faces.detect import Face
@@ -160,3 +162,82 @@ def test_a_face_that_the_detector_doubts_is_mentioned(
 
     monkeypatch.setattr(command, "detect_faces", doubting)
     assert "65 % sure that this is a face" in asked(light, template, tmp_path)[1]
+
+
+def test_the_templates_eyes_show_the_open_eyes_wherever_the_shape_has_them(
+    light: np.ndarray, marks: np.ndarray, shot: Shot, template: Template
+) -> None:
+    found = openings(light, marks)
+    assert np.isfinite(found).all()
+    right, left = found
+    assert right[0, 0] < left[0, 0]
+    for opening, each in zip(found, EYES, strict=True):
+        width = np.ptp(marks[each][:, 0])
+        assert 0.5 < np.linalg.norm(opening[1]) / width < 1.4
+        assert 0.15 < np.linalg.norm(opening[2]) / width < 1.0
+    raster = rasterise(shot.mesh, 192, 128)
+    eyes = eye_texels(template, raster)
+    assert eyes is not None
+    assert not (eyes.texels[0] & eyes.texels[1]).any()
+    place = eyes.place[eyes.texels.any(axis=0)]
+    assert (place > -1e-6).all()
+    assert (place < 1 + 1e-6).all()
+
+    def shown(up_px: float) -> tuple[np.ndarray, np.ndarray]:
+        moved = dataclasses.replace(shot.camera, cy_px=shot.camera.cy_px + up_px)
+        plain = unwrap(light, shot.mesh, raster, moved)
+        filled = with_eyes(plain, light, found, eyes)
+        np.testing.assert_array_equal(
+            filled.texture[~eyes.texels.any(axis=0)], plain.texture[~eyes.texels.any(axis=0)]
+        )
+        return plain.texture, filled.texture
+
+    here, beside = shown(0.0), shown(12.0)
+    for texels in eyes.texels:
+        np.testing.assert_array_equal(here[1][texels], beside[1][texels])
+        # 12 px are a third of an eye's width: the plain texel shows the lid.
+        assert np.abs(np.log(here[0][texels] / beside[0][texels])).mean() > 0.2
+
+
+def test_closed_and_hidden_eyes_are_not_filled(
+    light: np.ndarray, marks: np.ndarray, shot: Shot, template: Template
+) -> None:
+    lids = over_eyes(light, marks, skin_of(light, marks), 0.6)
+    away = marks.copy()
+    away[EYES[0]] = np.nan
+    assert np.isnan(openings(lids, marks)).all()
+    one = openings(light, away)
+    assert np.isnan(one[0]).all()
+    assert np.isfinite(one[1]).all()
+    raster = rasterise(shot.mesh, 96, 64)
+    plain, eyes = unwrap(lids, shot.mesh, raster, shot.camera), eye_texels(template, raster)
+    assert eyes is not None
+    same = with_eyes(plain, lids, openings(lids, marks), eyes)
+    np.testing.assert_array_equal(same.texture, plain.texture)
+    np.testing.assert_array_equal(same.seen, plain.seen)
+    without = dataclasses.replace(
+        template, regions={k: v for k, v in template.regions.items() if k != "eyes"}
+    )
+    assert eye_texels(without, raster) is None
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    values=st.lists(
+        st.floats(-1, 1e6, width=32) | st.just(float("nan")) | st.just(float("inf")),
+        min_size=12,
+        max_size=12,
+    ),
+    scale=st.sampled_from([1e-6, 1.0, 1e6]),
+    seed=st.integers(0, 99),
+)
+def test_openings_are_finite_or_missing_on_any_picture(
+    values: list[float], scale: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    picture = np.resize(np.array(values, np.float32), (40, 60, 3))
+    marks = rng.uniform(-50, 110, (68, 2)) * scale
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = openings(picture, marks)
+    each = np.isfinite(found).all(axis=(1, 2))
+    assert np.isnan(found[~each]).all()
