@@ -20,7 +20,7 @@ from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
 from learning.photo.enlarge import Enlarged, enlarged, texels_a_pixel
-from learning.photo.eyes import eye_texels, with_eyes
+from learning.photo.eye_texels import eye_texels, with_eyes
 from learning.photo.foreground import foreground
 from learning.photo.several import Joined, View, join
 from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from learning.photo import command
 from learning.photo.command import FitRequest, read_all
-from learning.photo.eyes import EYES, SKIN, eye_texels, openings, whites_are_seen, with_eyes
+from learning.photo.eye_texels import eye_texels, with_eyes
+from learning.photo.eyes import EYES, SKIN, openings, whites_are_seen
 from learning.photo.picture import read_photograph
 from learning.photo.unwrap import unwrap
 from learning.render.uv import rasterise
