@@ -20,6 +20,8 @@ AS_BRIGHT, AS_COLOURED, LEAST_SHARE = 0.4, 0.7, 0.08
 """White is at least so bright beside skin, at most so saturated, and this share of an open eye."""
 GROWN = 1.35
 """White is sought within the eye's outline, made so much larger: the detector's is a little off."""
+IRIS = 0.2
+"""Its radius, of an eye's width."""
 OUTERMOST = 0.03
 """Share of the white's pixels that its extent leaves out on each side."""
 
@@ -64,11 +66,14 @@ def openings(rgb_linear: np.ndarray, marks: np.ndarray) -> np.ndarray:
             continue
         middle = eye.mean(axis=0)
         row, column = np.nonzero(_whites(rgb_linear, GROWN * (eye - middle) + middle, skin))
-        # The iris lies between its whites; of an eye that looks aside one of the two is hidden.
-        places = np.concatenate([np.column_stack([column, row]) + 0.5, middle[None]])
-        along = (eye[3] - eye[0]) / max(float(np.linalg.norm(eye[3] - eye[0])), 1e-6)
+        width = max(float(np.linalg.norm(eye[3] - eye[0])), 1e-6)
+        along = (eye[3] - eye[0]) / width
         axes = np.array([along, [-along[1], along[0]]])
-        low, high = np.quantile(places @ axes.T, [OUTERMOST, 1 - OUTERMOST], axis=0)
+        places = (np.column_stack([column, row]) + 0.5) @ axes.T
+        low, high = np.quantile(places, [OUTERMOST, 1 - OUTERMOST], axis=0)
+        # The iris lies between its whites, of which one may be hidden or in shade.
+        iris = axes[0] @ middle + IRIS * width * np.array([-1, 1])
+        low[0], high[0] = min(low[0], iris[0]), max(high[0], iris[1])
         found[index] = [low @ axes, *((high - low)[:, None] * axes)]
     return found
 

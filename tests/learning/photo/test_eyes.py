@@ -176,6 +176,14 @@ def test_the_templates_eyes_show_the_open_eyes_wherever_the_shape_has_them(
         width = np.ptp(marks[each][:, 0])
         assert 0.5 < np.linalg.norm(opening[1]) / width < 1.4
         assert 0.15 < np.linalg.norm(opening[2]) / width < 1.0
+    # One white of each eye in shade: the iris is still within.
+    shaded = light.copy()
+    for each in EYES:
+        eye = marks[each]
+        shaded[:, int(eye[:, 0].mean()) : int(eye[:, 0].max()) + 20] *= 0.1
+    for opening, each in zip(openings(shaded, marks), EYES, strict=True):
+        middle = marks[each].mean(axis=0)[0]
+        assert opening[0, 0] < middle < opening[0, 0] + opening[1, 0]
     raster = rasterise(shot.mesh, 192, 128)
     eyes = eye_texels(template, raster)
     assert eyes is not None
