@@ -15,6 +15,7 @@ from learning.photo import command
 from learning.photo.command import FitRequest, read_all
 from learning.photo.eye_texels import eye_texels, with_eyes
 from learning.photo.eyes import EYES, SKIN, openings, whites_are_seen
+from learning.photo.fit import yaw_deg
 from learning.photo.picture import read_photograph
 from learning.photo.unwrap import unwrap
 from learning.render.uv import rasterise
@@ -24,7 +25,7 @@ from lightstage.faces.detect import Face
 from lightstage.faces.schemes import FACE_MESH, ibug68, seen_points
 from lightstage.formats.template import Template, default_template_path
 from processing.colour import srgb_from_linear
-from tests.learning.photo.scene import Shot
+from tests.learning.photo.scene import Shot, camera_at
 
 
 @pytest.fixture(scope="module")
@@ -206,6 +207,11 @@ def test_the_templates_eyes_show_the_open_eyes_wherever_the_shape_has_them(
         np.testing.assert_array_equal(here[1][texels], beside[1][texels])
         # 12 px are a third of an eye's width: the plain texel shows the lid.
         assert np.abs(np.log(here[0][texels] / beside[0][texels])).mean() > 0.2
+
+
+def test_a_camera_beside_the_head_is_told_from_one_in_front() -> None:
+    for turn in (-35.0, 0.0, 8.0, 120.0):
+        assert yaw_deg(camera_at(turn)) == pytest.approx(abs(turn), abs=2.0)
 
 
 def test_closed_and_hidden_eyes_are_not_filled(
