@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 
 from learning.photo import command
 from learning.photo.command import FitRequest, read_all
-from learning.photo.eyes import EYES, SKIN, eye_texels, openings, whites_are_seen, with_eyes
+from learning.photo.eye_texels import eye_texels, with_eyes
+from learning.photo.eyes import EYES, SKIN, openings, whites_are_seen
+from learning.photo.fit import yaw_deg
 from learning.photo.picture import read_photograph
 from learning.photo.unwrap import unwrap
 from learning.render.uv import rasterise
@@ -23,7 +25,7 @@ from lightstage.faces.detect import Face
 from lightstage.faces.schemes import FACE_MESH, ibug68, seen_points
 from lightstage.formats.template import Template, default_template_path
 from processing.colour import srgb_from_linear
-from tests.learning.photo.scene import Shot
+from tests.learning.photo.scene import Shot, camera_at
 
 
 @pytest.fixture(scope="module")
@@ -175,6 +177,14 @@ def test_the_templates_eyes_show_the_open_eyes_wherever_the_shape_has_them(
         width = np.ptp(marks[each][:, 0])
         assert 0.5 < np.linalg.norm(opening[1]) / width < 1.4
         assert 0.15 < np.linalg.norm(opening[2]) / width < 1.0
+    # One white of each eye in shade: the iris is still within.
+    shaded = light.copy()
+    for each in EYES:
+        eye = marks[each]
+        shaded[:, int(eye[:, 0].mean()) : int(eye[:, 0].max()) + 20] *= 0.1
+    for opening, each in zip(openings(shaded, marks), EYES, strict=True):
+        middle = marks[each].mean(axis=0)[0]
+        assert opening[0, 0] < middle < opening[0, 0] + opening[1, 0]
     raster = rasterise(shot.mesh, 192, 128)
     eyes = eye_texels(template, raster)
     assert eyes is not None
@@ -197,6 +207,11 @@ def test_the_templates_eyes_show_the_open_eyes_wherever_the_shape_has_them(
         np.testing.assert_array_equal(here[1][texels], beside[1][texels])
         # 12 px are a third of an eye's width: the plain texel shows the lid.
         assert np.abs(np.log(here[0][texels] / beside[0][texels])).mean() > 0.2
+
+
+def test_a_camera_beside_the_head_is_told_from_one_in_front() -> None:
+    for turn in (-35.0, 0.0, 8.0, 120.0):
+        assert yaw_deg(camera_at(turn)) == pytest.approx(abs(turn), abs=2.0)
 
 
 def test_closed_and_hidden_eyes_are_not_filled(
