@@ -211,7 +211,7 @@ def test_the_templates_eyes_show_the_open_eyes_wherever_the_shape_has_them(
 
 def test_a_camera_beside_the_head_is_told_from_one_in_front() -> None:
     for turn in (-35.0, 0.0, 8.0, 120.0):
-        assert yaw_deg(camera_at(turn)) == pytest.approx(abs(turn), abs=2.0)
+        assert yaw_deg(camera_at(turn)) == pytest.approx(abs(turn), abs=3.0)
 
 
 def test_closed_and_hidden_eyes_are_not_filled(
