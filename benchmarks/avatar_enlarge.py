@@ -23,10 +23,8 @@ from learning.photo.enlarge import texels_a_pixel
 from learning.photo.unwrap import unwrap
 from learning.render.uv import rasterise
 from learning.upscale.infer import upscale
-from lightstage.formats.srgb import linear_from_srgb
 from lightstage.formats.template import default_template_path, load_template
 from lightstage.rig import Camera
-from processing.colour import srgb_from_linear
 
 ROWS, LIGHT = 768, "front"
 COARSER = (2, 4, 8)
@@ -49,8 +47,7 @@ def main() -> None:
         for coarser in COARSER:
             sitter = Sitter(head, 0.0, 1 / coarser)
             camera = sitter.camera
-            codes = np.round(255 * srgb_from_linear(sitter.under(light_for(case)))).clip(0, 255)
-            rgb = linear_from_srgb(codes / 255).astype(np.float32)
+            _, rgb = sitter.shot(light_for(case))
             began = time.process_time()
             large = upscale(network, rgb)
             seconds = time.process_time() - began

@@ -82,6 +82,11 @@ class Sitter:
         size = (self.camera.width_px, self.camera.height_px)
         return cv2.resize(large.reshape(shape), size, interpolation=cv2.INTER_AREA)
 
+    def shot(self, lights: LightSet) -> tuple[np.ndarray, np.ndarray]:
+        """(h, w, 3) uint8 as a camera stores it, and float32 linear as that is read again."""
+        codes = np.round(255 * srgb_from_linear(self.under(lights))).astype(np.uint8)
+        return codes, linear_from_srgb(codes / 255.0).astype(np.float32)
+
 
 def photograph(sitter: Sitter, lights: LightSet, there: np.ndarray, name: str) -> Photograph:
     """An 8-bit photograph of a lit head, its face found.
@@ -92,9 +97,8 @@ def photograph(sitter: Sitter, lights: LightSet, there: np.ndarray, name: str) -
         there: (468,) bool, points that the template knows.
         name: of the photograph.
     """
-    codes = np.round(255 * srgb_from_linear(sitter.under(lights))).clip(0, 255).astype(np.uint8)
+    codes, linear = sitter.shot(lights)
     faces = detect_faces(codes)
     points = np.full((468, 2), np.nan) if not faces else seen_points(faces[0], FACE_MESH)
-    linear = linear_from_srgb(codes / 255.0).astype(np.float32)
     eyes_px = openings(linear, ibug68(points))
     return Photograph(name, linear, points[there], sitter.camera.fx_px, eyes_px)

@@ -57,7 +57,7 @@ def eye_texels(template: Template, raster: UvRaster) -> EyeTexels | None:
 
 def with_eyes(
     unwrapped: Unwrapped, rgb_linear: np.ndarray, openings_px: np.ndarray, eyes: EyeTexels
-) -> Unwrapped:
+) -> tuple[Unwrapped, np.ndarray]:
     """A photograph in texels whose eyes are filled from where it shows them open.
 
     Args:
@@ -65,7 +65,11 @@ def with_eyes(
         rgb_linear: (h, w, 3).
         openings_px: of `openings`.
         eyes: texels of the template.
+
+    Returns:
+        The photograph, and (rows, columns) bool, the texels that were filled.
     """
+    filled = np.zeros_like(unwrapped.seen)
     texture, seen = unwrapped.texture.copy(), unwrapped.seen.copy()
     facing = unwrapped.facing.copy()
     for here, (corner, *sides) in zip(eyes.texels, openings_px, strict=True):
@@ -75,9 +79,10 @@ def with_eyes(
         # Where a texel holds several pixels it shows their mean.
         area = float(np.prod(np.linalg.norm(sides, axis=1))) / here.sum()
         texture[here] = _blurred_at(rgb_linear, place, 0.5 * np.sqrt(area))
-        seen[here] = True
-        facing[here] = np.maximum(facing[here], GRAZING)
-    return Unwrapped(texture, seen, facing)
+        filled |= here
+    seen |= filled
+    facing[filled] = np.maximum(facing[filled], GRAZING)
+    return Unwrapped(texture, seen, facing), filled
 
 
 def _blurred_at(rgb: np.ndarray, place_px: np.ndarray, sigma: float) -> np.ndarray:

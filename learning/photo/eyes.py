@@ -43,7 +43,7 @@ def whites_are_seen(rgb_linear: np.ndarray, marks: np.ndarray) -> bool | None:
     skin = _skin(rgb_linear, marks)
     if not large or skin is None:
         return None
-    return any(_white_share(rgb_linear, eye, skin) >= LEAST_SHARE for eye in large)
+    return bool(np.isfinite(openings(rgb_linear, marks)).any())
 
 
 def openings(rgb_linear: np.ndarray, marks: np.ndarray) -> np.ndarray:
@@ -63,23 +63,39 @@ def openings(rgb_linear: np.ndarray, marks: np.ndarray) -> np.ndarray:
         eye = marks[outline]
         if skin is None or not np.isfinite(eye).all() or np.ptp(eye[:, 0]) < LEAST_PX:
             continue
-        if _white_share(rgb_linear, eye, skin) < LEAST_SHARE:
-            continue
-        middle = eye.mean(axis=0)
-        white = _whites(rgb_linear, GROWN * (eye - middle) + middle, skin)
-        _, parts = cv2.connectedComponents(white.astype(np.uint8))
-        reaching = np.unique(parts[white & _inside(rgb_linear, eye)])
-        row, column = np.nonzero(np.isin(parts, reaching) & white)
-        width = max(float(np.linalg.norm(eye[3] - eye[0])), 1e-6)
-        along = (eye[3] - eye[0]) / width
-        axes = np.array([along, [-along[1], along[0]]])
-        places = (np.column_stack([column, row]) + 0.5) @ axes.T
-        low, high = np.quantile(places, [OUTERMOST, 1 - OUTERMOST], axis=0)
-        # The iris lies between its whites, of which one may be hidden or in shade.
-        iris = axes[0] @ middle + IRIS * width * np.array([-1, 1])
-        low[0], high[0] = min(low[0], iris[0]), max(high[0], iris[1])
-        found[index] = [low @ axes, *((high - low)[:, None] * axes)]
+        opening = _opening(rgb_linear, eye, skin)
+        if opening is not None:
+            found[index] = opening
     return found
+
+
+def _opening(rgb: np.ndarray, eye: np.ndarray, skin: np.ndarray) -> np.ndarray | None:
+    """(3, 2) of `openings` for an eye's (6, 2) outline; None where no white is seen."""
+    middle = eye.mean(axis=0)
+    grown = GROWN * (eye - middle) + middle
+    # The eye's part alone is looked at, however large the photograph is.
+    size = np.array(rgb.shape[1::-1])
+    low = np.clip(np.floor(grown.min(axis=0)), 0, size - 1).astype(int)
+    high = np.clip(np.ceil(grown.max(axis=0)) + 1, low + 1, size).astype(int)
+    part = rgb[low[1] : high[1], low[0] : high[0]]
+    finite = np.isfinite(part).all(axis=2)
+    inside = _inside(eye - low, finite.shape)
+    part = np.where(finite[..., None], part, 0)
+    white = _white(part, skin) & finite & (inside | _inside(grown - low, finite.shape))
+    count = (inside & finite).sum()
+    if count == 0 or (white & inside).sum() / count < LEAST_SHARE:
+        return None
+    _, parts = cv2.connectedComponents(white.astype(np.uint8))
+    row, column = np.nonzero(white & np.isin(parts, np.unique(parts[white & inside])))
+    width = max(float(np.linalg.norm(eye[3] - eye[0])), 1e-6)
+    along = (eye[3] - eye[0]) / width
+    axes = np.array([along, [-along[1], along[0]]])
+    places = (np.column_stack([column, row]) + low + 0.5) @ axes.T
+    first, last = np.quantile(places, [OUTERMOST, 1 - OUTERMOST], axis=0)
+    # The iris lies between its whites, of which one may be hidden or in shade.
+    iris = axes[0] @ middle + IRIS * width * np.array([-1, 1])
+    first[0], last[0] = min(first[0], iris[0]), max(last[0], iris[1])
+    return np.stack([first @ axes, *((last - first)[:, None] * axes)])
 
 
 def _skin(rgb: np.ndarray, marks: np.ndarray) -> np.ndarray | None:
@@ -101,35 +117,23 @@ def _skin(rgb: np.ndarray, marks: np.ndarray) -> np.ndarray | None:
     return found if found.max() > 0 else None
 
 
-def _white_share(rgb: np.ndarray, eye: np.ndarray, skin: np.ndarray) -> float:
-    """Share of an eye's opening that is nearly as bright as skin and clearly less coloured."""
-    inside = _inside(rgb, eye)
-    count = int((inside & np.isfinite(rgb).all(axis=2)).sum())
-    return float(_whites(rgb, eye, skin).sum() / count) if count else 0.0
-
-
-def _whites(rgb: np.ndarray, eye: np.ndarray, skin: np.ndarray) -> np.ndarray:
-    """(h, w) bool, pixels within an outline that are white beside skin."""
-    inside = _inside(rgb, eye) & np.isfinite(rgb).all(axis=2)
-    some = rgb[inside]
-    bright = some.mean(axis=1) > AS_BRIGHT * skin.mean()
-    plain = _saturation(some) < AS_COLOURED * _saturation(skin[None])[0]
+def _white(rgb: np.ndarray, skin: np.ndarray) -> np.ndarray:
+    """(h, w) bool, pixels nearly as bright as skin and clearly less coloured."""
+    bright = rgb.mean(axis=-1) > AS_BRIGHT * skin.mean()
+    plain = _saturation(rgb) < AS_COLOURED * _saturation(skin)
     # A photograph without colour tells by brightness alone.
-    colourless = _saturation(skin[None])[0] < 0.02
-    white = np.zeros(rgb.shape[:2], bool)
-    white[inside] = bright & (plain | colourless)
-    return white
+    return np.asarray(bright & (plain | (_saturation(skin) < 0.02)))
 
 
-def _inside(rgb: np.ndarray, eye: np.ndarray) -> np.ndarray:
-    """(h, w) bool, pixels within an outline."""
-    opening = np.zeros(rgb.shape[:2], np.uint8)
-    inside_picture = np.clip(eye, -1, np.array(rgb.shape[1::-1]))
-    cv2.fillPoly(opening, [np.round(inside_picture).astype(np.int32)], 1)
+def _inside(eye: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """(h, w) bool, pixels of a picture within an outline."""
+    opening = np.zeros(shape, np.uint8)
+    near = np.clip(eye, -1, np.array(shape[::-1]))
+    cv2.fillPoly(opening, [np.round(near).astype(np.int32)], 1)
     return opening > 0
 
 
 def _saturation(rgb: np.ndarray) -> np.ndarray:
-    """(n,) from 0, grey, to 1."""
+    """(...) of (..., 3), from 0, grey, to 1."""
     most = rgb.max(axis=-1)
     return np.asarray((most - rgb.min(axis=-1)) / np.maximum(most, 1e-6))

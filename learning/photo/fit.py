@@ -32,7 +32,7 @@ from learning.upscale.network import Rcan
 from learning.whole.detail import enlarged as resized
 from learning.whole.gaps import continued
 from learning.whole.infer import infer_whole_face
-from learning.whole.refine import ALL_OWN, OwnShares
+from learning.whole.refine import OF_TRUE_SHAPES, OwnShares
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
@@ -320,14 +320,13 @@ class _Texels:
             shown.rgb_linear, self.mesh, self.raster, shown.camera, shown.person
         )
         self.eyes: np.ndarray | None = None
-        eyes, photograph = eye_texels(template, self.raster), looked.photograph
-        frontal = yaw_deg(camera) <= MOST_YAW_DEG
-        if frontal and eyes is not None and photograph.eyes_px is not None:
-            open_ones = np.isfinite(photograph.eyes_px).all(axis=(1, 2))
-            self.eyes = eyes.texels[open_ones].any(axis=0)
-            self.unwrapped = with_eyes(
-                self.unwrapped, photograph.rgb_linear, photograph.eyes_px, eyes
-            )
+        openings_px = looked.photograph.eyes_px
+        if openings_px is not None and yaw_deg(camera) <= MOST_YAW_DEG:
+            eyes = eye_texels(template, self.raster)
+            if eyes is not None:
+                self.unwrapped, self.eyes = with_eyes(
+                    self.unwrapped, looked.photograph.rgb_linear, openings_px, eyes
+                )
 
     def inferred(
         self,
@@ -339,7 +338,7 @@ class _Texels:
         mesostructure: TrainedMesostructure | None,
         network_sees: np.ndarray | None = None,
         largest_misfit: float = LARGEST_MISFIT,
-        own: OwnShares = ALL_OWN,
+        own: OwnShares = OF_TRUE_SHAPES,
     ) -> Inferred:
         """Skin and light of the texels that are shown; see `infer_whole_face`."""
         return infer_whole_face(

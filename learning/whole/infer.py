@@ -30,9 +30,9 @@ from learning.render.shading import unit
 from learning.render.uv import UvRaster, rasterise
 from learning.whole.detail import enlarged, with_detail
 from learning.whole.refine import (
-    ALL_OWN,
     CAMERA_MM,
     LARGEST_MISFIT,
+    OF_TRUE_SHAPES,
     Answer,
     OwnShares,
     Refined,
@@ -70,7 +70,7 @@ def infer_whole_face(
     camera_mm: np.ndarray | None = None,
     largest_misfit: float = LARGEST_MISFIT,
     network_sees: np.ndarray | None = None,
-    own: OwnShares = ALL_OWN,
+    own: OwnShares = OF_TRUE_SHAPES,
 ) -> Inferred:
     """Infer a texture's reflectance.
 

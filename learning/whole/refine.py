@@ -70,8 +70,8 @@ class OwnShares:
     whole: np.ndarray | None = None
 
 
-ALL_OWN = OwnShares()
-"""For textures of true shapes."""
+OF_TRUE_SHAPES = OwnShares()
+"""The shares that are nearest to the truth there."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,7 +123,7 @@ def refine(
     mesostructure: TrainedMesostructure | None = None,
     camera_mm: np.ndarray = CAMERA_MM,
     largest_misfit: float = LARGEST_MISFIT,
-    own: OwnShares = ALL_OWN,
+    own: OwnShares = OF_TRUE_SHAPES,
 ) -> Refined | str:
     """Take the light out of a texture, beginning with a network's answer.
 

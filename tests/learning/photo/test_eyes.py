@@ -196,7 +196,8 @@ def test_the_templates_eyes_show_the_open_eyes_wherever_the_shape_has_them(
     def shown(up_px: float) -> tuple[np.ndarray, np.ndarray]:
         moved = dataclasses.replace(shot.camera, cy_px=shot.camera.cy_px + up_px)
         plain = unwrap(light, shot.mesh, raster, moved)
-        filled = with_eyes(plain, light, found, eyes)
+        filled, where = with_eyes(plain, light, found, eyes)
+        np.testing.assert_array_equal(where, eyes.texels.any(axis=0))
         np.testing.assert_array_equal(
             filled.texture[~eyes.texels.any(axis=0)], plain.texture[~eyes.texels.any(axis=0)]
         )
@@ -227,7 +228,8 @@ def test_closed_and_hidden_eyes_are_not_filled(
     raster = rasterise(shot.mesh, 96, 64)
     plain, eyes = unwrap(lids, shot.mesh, raster, shot.camera), eye_texels(template, raster)
     assert eyes is not None
-    same = with_eyes(plain, lids, openings(lids, marks), eyes)
+    same, filled = with_eyes(plain, lids, openings(lids, marks), eyes)
+    assert not filled.any()
     np.testing.assert_array_equal(same.texture, plain.texture)
     np.testing.assert_array_equal(same.seen, plain.seen)
     without = dataclasses.replace(
