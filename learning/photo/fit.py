@@ -25,7 +25,7 @@ from learning.photo.foreground import foreground
 from learning.photo.several import Joined, View, join
 from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape
 from learning.photo.skin_mask import features, no_skin
-from learning.photo.unwrap import Unwrapped, unwrap
+from learning.photo.unwrap import Unwrapped, unwrap, without_slivers
 from learning.relight import lit_texture, shadows_of
 from learning.render.uv import UvRaster, rasterise
 from learning.upscale.network import Rcan
@@ -316,8 +316,9 @@ class _Texels:
             )
             shown = shown if larger is None else larger
         self.enlarged = shown.camera is not camera
-        self.unwrapped: Unwrapped = unwrap(
-            shown.rgb_linear, self.mesh, self.raster, shown.camera, shown.person
+        self.unwrapped: Unwrapped = without_slivers(
+            unwrap(shown.rgb_linear, self.mesh, self.raster, shown.camera, shown.person),
+            features(template, self.raster),
         )
         self.eyes: np.ndarray | None = None
         openings_px = looked.photograph.eyes_px

@@ -25,6 +25,8 @@ GRAZING = 0.2
 """Cosine to the camera below which a texel is not taken from the photograph."""
 LARGEST_DEPTH_PX = 1024
 """Edges of depth are looked for in a picture of so many pixels a side at most."""
+LEAST_ISLAND = 0.02
+"""Of the largest island of seen texels: smaller ones are slivers."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,6 +81,25 @@ def unwrap(
     texture = np.zeros((*covered.shape, 3), np.float32)
     texture[covered] = _sampled(rgb_linear, place, seen, covered)
     return Unwrapped(texture, _spread(seen, covered), _spread(cosine.astype(np.float32), covered))
+
+
+def without_slivers(unwrapped: Unwrapped, keep: np.ndarray) -> Unwrapped:
+    """A photograph in texels without its small islands apart from the rest.
+
+    Such an island is a sliver of an ear or of the scalp at the head's outline, where the fitted
+    shape is least the person's: it mostly shows what is beside it.
+
+    Args:
+        unwrapped: of `unwrap`.
+        keep: (rows, columns) bool; an island that reaches into it stays, such as an eye.
+    """
+    seen = unwrapped.seen
+    count, label, about, _ = cv2.connectedComponentsWithStats(seen.astype(np.uint8), connectivity=4)
+    area = np.where(np.arange(count) > 0, about[:, cv2.CC_STAT_AREA], 0)
+    stays = area >= LEAST_ISLAND * area.max()
+    stays[np.unique(label[keep & seen])] = True
+    seen = seen & stays[label]
+    return Unwrapped(unwrapped.texture * seen[..., None], seen, unwrapped.facing)
 
 
 def smaller(camera: Camera, largest_px: int) -> Camera:

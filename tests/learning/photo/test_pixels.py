@@ -12,7 +12,7 @@ from learning.photo.enlarge import enlarged, texels_a_pixel
 from learning.photo.foreground import foreground
 from learning.photo.model import ShapeModel
 from learning.photo.picture import read_photograph
-from learning.photo.unwrap import unwrap
+from learning.photo.unwrap import Unwrapped, unwrap, without_slivers
 from learning.render.uv import rasterise
 from learning.render.view import render_view
 from learning.upscale.network import Rcan
@@ -54,6 +54,42 @@ def test_a_larger_mesh_leaves_the_wall_behind_the_person_out(shot: Shot, model: 
     near = np.abs(alone.texture[alone.seen] - wall).max(axis=1) < 0.05
     assert near.mean() < 0.01
     np.testing.assert_array_equal(alone.texture[alone.seen], with_wall.texture[alone.seen])
+
+
+def test_a_collar_leaves_no_line_on_the_neck(shot: Shot, model: ShapeModel) -> None:
+    rgb, _ = read_photograph(shot.path)
+    raster = rasterise(shot.mesh, ROWS, ROWS * 2 // 3)
+    chin = int(shot.camera.project(shot.mesh.vertices[model.face])[0][:, 1].max())
+    neck = unwrap(rgb, shot.mesh, raster, shot.camera).texture
+    # A collar that rises to one side, with the soft edge of a photograph.
+    row, column = np.mgrid[: rgb.shape[0], : rgb.shape[1]]
+    share = np.clip(row - (chin + 12 + 0.05 * column), 0, 2)[..., None] / 2
+    photograph = ((1 - share) * rgb + share * 0.004).astype(np.float32)
+    found = foreground(photograph, shot.mesh, model.face, shot.camera)
+    shown = unwrap(photograph, shot.mesh, raster, shot.camera, found)
+    # The neck is there, of .25, and hardly darker anywhere; the collar itself would be .24 off.
+    beside = np.abs(shown.texture - neck).max(axis=2)[shown.seen]
+    assert shown.seen.sum() > 2000
+    assert beside.max() < 0.09
+
+
+def test_slivers_of_the_outline_are_left_out_and_eyes_stay() -> None:
+    seen = np.zeros((60, 40), bool)
+    seen[10:50, 8:32] = True
+    seen[20:26, 12:18] = False
+    eye, ear = np.zeros((2, *seen.shape), bool)
+    eye[22:24, 14:16] = True
+    ear[15:30, 36] = True
+    neck = np.zeros_like(seen)
+    neck[53:58, 10:30] = True
+    texture = np.ones((*seen.shape, 3), np.float32)
+    whole = Unwrapped(texture, seen | eye | ear | neck, np.ones(seen.shape, np.float32))
+    found = without_slivers(whole, keep=eye)
+    np.testing.assert_array_equal(found.seen, seen | eye | neck)
+    assert not found.texture[ear].any()
+    np.testing.assert_array_equal(without_slivers(whole, keep=ear).seen, seen | ear | neck)
+    nothing = Unwrapped(texture, np.zeros_like(seen), whole.facing)
+    assert not without_slivers(nothing, keep=eye).seen.any()
 
 
 def test_a_photograph_of_few_pixels_shows_as_much_of_the_face(shot: Shot) -> None:
