@@ -24,6 +24,9 @@ class AugmentConfig:
         haemoglobin: standard deviation of the added absorbance of blood (natural logarithm).
         pattern: of melanin and of blood that differ from place to place of a face, as the share
             of `melanin` and `haemoglobin`.
+        beside: standard deviation of the logarithm of what eyes, hair and teeth reflect, for they
+            differ from person to person as skin does; that of one colour beside the others is a
+            third of it.
         shininess: smallest and largest exponent of the lobe.
         translucency: smallest and largest translucency.
     """
@@ -31,12 +34,13 @@ class AugmentConfig:
     melanin: float = 0.3
     haemoglobin: float = 0.08
     pattern: float = 0.0
+    beside: float = 0.0
     shininess: tuple[float, float] = (12.0, 60.0)
     translucency: tuple[float, float] = (0.2, 0.8)
 
     def as_they_are(self) -> AugmentConfig:
         """The same with people's own complexions."""
-        return dataclasses.replace(self, melanin=0.0, haemoglobin=0.0)
+        return dataclasses.replace(self, melanin=0.0, haemoglobin=0.0, beside=0.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,12 +52,14 @@ class Variation:
         shininess: Blinn-Phong's exponent.
         translucency: 0..1.
         pattern: (1, 3, 6, 4) absorbance that is added over the face; None for none.
+        beside: gain of red, green and blue of what is not skin.
     """
 
     gain: tuple[float, float, float]
     shininess: float
     translucency: float
     pattern: Tensor | None = None
+    beside: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
 PATCHES = (6, 4)
@@ -74,13 +80,18 @@ def draw(rng: np.random.Generator, config: AugmentConfig) -> Variation:
         amount = rng.normal(size=(*PATCHES, 2)) * spread
         values = amount @ np.array([MELANIN, HAEMOGLOBIN])
         pattern = torch.from_numpy(values.transpose(2, 0, 1)[None].astype(np.float32))
-    return Variation((red, green, blue), shininess, translucency, pattern)
+    beside = (1.0, 1.0, 1.0)
+    if config.beside > 0:
+        change = config.beside * (rng.normal() + rng.normal(size=3) / 3)
+        beside = tuple(np.exp(change).tolist())
+    return Variation((red, green, blue), shininess, translucency, pattern, beside)
 
 
 def recolour(albedo: Tensor, variation: Variation, skin: Tensor) -> Tensor:
     """(B, 3, h, w) albedo under a variation, at most 1.
 
-    Only where `skin`, (B, 1, h, w) bool, is: the whites of eyes and hair keep their colours.
+    Complexion changes only where `skin`, (B, 1, h, w) bool, is. Eyes, hair and teeth elsewhere have
+    a gain of their own.
     """
     gain = albedo.new_tensor(variation.gain).view(1, 3, 1, 1)
     if variation.pattern is not None:
@@ -88,4 +99,5 @@ def recolour(albedo: Tensor, variation: Variation, skin: Tensor) -> Tensor:
             variation.pattern.to(albedo), albedo.shape[2:], mode="bicubic", align_corners=False
         )
         gain = gain * torch.exp(-absorbance)
-    return torch.where(skin, (albedo * gain).clamp(0, 1), albedo)
+    beside = albedo.new_tensor(variation.beside).view(1, 3, 1, 1)
+    return (albedo * torch.where(skin, gain, beside)).clamp(0, 1)

@@ -51,7 +51,7 @@ _SMALL: dict[str, Any] = {
     "shading": "physical",
 }
 PRESETS: dict[str, dict[str, Any]] = {
-    "modern": {},
+    "modern": {"network": {"heads": 8}, "batch": 16},
     "paper": {},
     "demo": {
         **_SMALL,

@@ -43,6 +43,8 @@ class WholeFaceConfig:
         width: channels at full size; each of the halvings doubles them.
         halvings: of the size.
         modes: principal directions in which people's albedo differs, kept beside the weights.
+        heads: of attention, by which the face's tone is read from places such as the eyes; with 0
+            it is read from the mean over all places alone.
     """
 
     rows: int = 96
@@ -50,6 +52,7 @@ class WholeFaceConfig:
     width: int = 16
     halvings: int = 3
     modes: int = 12
+    heads: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,6 +88,26 @@ class WholeFace:
     diffuse_albedo: Tensor
     specular_albedo: Tensor
     deviation: Tensor
+
+
+class Attention(nn.Module):
+    """What a face shows at places that matter: means of the features, each with its own weights.
+
+    The places of a texture are the same for all faces, so that a head learns where to look, and
+    from the features whether there is something to see. A mean over the whole face would hold the
+    eyes, by which light can be told from skin, at a hundredth.
+    """
+
+    def __init__(self, channels: int, places: int, heads: int) -> None:
+        """For features of so many channels at so many places; `heads` means are taken."""
+        super().__init__()
+        self.here = nn.Parameter(torch.zeros(heads, places))
+        self.seen = nn.Conv2d(channels, heads, 1)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(B, channels, rows, columns) to (B, channels * heads)."""
+        weights = (self.seen(features).flatten(2) + self.here).softmax(dim=2)
+        return torch.einsum("bhn,bcn->bhc", weights, features.flatten(2)).flatten(1)
 
 
 class WholeFaceNetwork(nn.Module):
@@ -125,7 +148,15 @@ class WholeFaceNetwork(nn.Module):
         )
         self.up = nn.ModuleList(_two(3 * wide, wide) for wide in reversed(widths[:-1]))
         everywhere = nn.Linear(widths[-1], SAID_CHANNELS)
-        self.everywhere = nn.Sequential(nn.Linear(widths[-1], widths[-1]), nn.SiLU(), everywhere)
+        self.attention: Attention | None = None
+        self.back: nn.Linear | None = None
+        read = widths[-1]
+        if config.heads:
+            places = (config.rows >> config.halvings) * (config.columns >> config.halvings)
+            self.attention = Attention(widths[-1], places, config.heads)
+            self.back = nn.Linear(widths[-1], widths[-1])
+            read *= 1 + config.heads
+        self.everywhere = nn.Sequential(nn.Linear(read, widths[-1]), nn.SiLU(), everywhere)
         self.here = nn.Conv2d(widths[0], SAID_CHANNELS, 1)
         unsure = nn.Conv2d(widths[0], 1, 1)
         self.unsure = nn.Sequential(*_convolution(widths[0] + SAID_CHANNELS, widths[0]), unsure)
@@ -168,7 +199,13 @@ class WholeFaceNetwork(nn.Module):
         for layer in self.down:
             features.append(layer(features[-1]))
         found = features.pop()
-        colour = self.everywhere(found.mean(dim=(2, 3)))[:, :, None, None]
+        read = found.mean(dim=(2, 3))
+        if self.attention is not None:
+            read = torch.cat([read, self.attention(found)], dim=1)
+        hidden, last = self.everywhere[:-1](read), self.everywhere[-1]
+        colour = last(hidden)[:, :, None, None]
+        if self.back is not None:
+            found = found + self.back(hidden)[:, :, None, None]
         for layer in self.up:
             beside = features.pop()
             larger = functional.interpolate(

@@ -56,6 +56,8 @@ class FacesConfig:
         ggx_share: share of the batches that are shaded with facets and Fresnel's rise (see
             `learning.render.shading`) instead of as the training is configured.
         partial_share: share of the pairs of which only the side toward some camera is shown.
+        skin_share: share of the pairs of which only skin is shown: eyes that are closed, hair that
+            was left out of a photograph.
         beside_skin: weight of eyes, hair and texels that were not captured, where skin has 1.
         displaced_mm: standard deviation of how far a texel shows another place of the face than
             its own, as in the texture of a photograph whose fitted shape is not the person's.
@@ -67,6 +69,7 @@ class FacesConfig:
     noise: float = 0.02
     ggx_share: float = 0.0
     partial_share: float = 0.3
+    skin_share: float = 0.0
     beside_skin: float = 0.1
     displaced_mm: float = 0.0
 
@@ -346,22 +349,23 @@ class Faces:
         else:
             photographed = surface > 0
         small = shrink(texture, size)
+        of_skin = (shrink(captured, size) > 0.5).to(texture)
         flaws, shown = [], []
-        for own, rng in zip(normal.split(1), rngs, strict=True):
+        for own, only, rng in zip(normal.split(1), of_skin.split(1), rngs, strict=True):
             balance = np.exp(rng.normal(0, config.white_balance, (3, 1, 1)))
             flaws.append(balance * np.exp(rng.normal(0, config.noise, tuple(small.shape[1:]))))
-            shown.append(self._shown(own, rng))
+            whole = self._shown(own, rng)
+            shown.append(whole * only if rng.random() < config.skin_share else whole)
         small = small * torch.from_numpy(np.stack(flaws).astype(np.float32)).to(small)
         seen = surface * photographed * torch.cat(shown)
         small = small * seen
-        share = shrink(captured, size)
-        weight = surface * (config.beside_skin + (1 - config.beside_skin) * (share > 0.5))
+        weight = surface * (config.beside_skin + (1 - config.beside_skin) * of_skin)
         return FaceBatch(
             face_input(small, normal, shrink(skin.position_mm, size), seen),
             shrink(skin.diffuse_albedo, size),
             shrink(skin.specular_albedo, size),
             weight,
-            (share > 0.5).to(texture) * surface,
+            of_skin * surface,
             small,
         )
 

@@ -14,20 +14,25 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.spatial.transform import Rotation
 
-from learning.augment import AugmentConfig
+from learning.augment import AugmentConfig, draw, recolour
 from learning.checkpoint import load_generator, load_whole_face, shipped_weights
 from learning.devices import CPU
 from learning.encoding import shrink
 from learning.errors import CheckpointError, MapsError
 from learning.maps import to_batch
-from learning.networks.whole_face import WholeFaceConfig, WholeFaceNetwork, face_input
+from learning.networks.whole_face import (
+    Attention,
+    WholeFaceConfig,
+    WholeFaceNetwork,
+    face_input,
+)
 from learning.presets import preset
 from learning.render.environments import RandomLightConfig
 from learning.train import train
 from learning.whole.config import WholeTrainConfig
 from learning.whole.detail import BANDS, Shares, bands, enlarged, with_detail
 from learning.whole.displacement import displaced, displacement
-from learning.whole.faces import Faces, FacesConfig
+from learning.whole.faces import FaceBatch, Faces, FacesConfig
 from learning.whole.infer import infer_whole_face
 from learning.whole.score import score_faces
 from learning.whole.train import WholeFaceTrainer, face_losses
@@ -103,6 +108,68 @@ def test_what_a_partial_pair_does_not_show_says_nothing(store_path: Path) -> Non
     assert not bool((batch.inputs[:, :3] * (1 - seen)).any())
     # The truth is asked for there too.
     assert float(batch.weight.min()) == 1.0
+
+
+def test_a_pair_without_eyes_and_hair_shows_skin_alone(store_path: Path) -> None:
+    def pair(config: FacesConfig) -> FaceBatch:
+        faces = faces_of(store_path, config)
+        faces.faces[1].skin[..., :20] = 0
+        return faces.batch([1], np.random.default_rng(3))
+
+    whole, batch = pair(PLAIN), pair(dataclasses.replace(PLAIN, skin_share=1.0))
+    assert 0.2 < float(batch.skin.mean()) < 0.9
+    torch.testing.assert_close(batch.inputs[:, 9:], batch.skin)
+    torch.testing.assert_close(batch.inputs[:, :3], whole.inputs[:, :3] * batch.skin)
+    assert torch.equal(batch.weight, whole.weight)
+
+
+def test_eyes_and_hair_have_a_gain_of_their_own_and_skin_keeps_its_complexion() -> None:
+    albedo = torch.rand(1, 3, 6, 4, generator=torch.Generator().manual_seed(0))
+    skin = torch.zeros(1, 1, 6, 4, dtype=torch.bool)
+    skin[..., :2] = True
+    config = AugmentConfig(beside=0.5)
+    plain, drawn = (
+        draw(np.random.default_rng(4), dataclasses.replace(config, beside=beside))
+        for beside in (0.0, 0.5)
+    )
+    before, after = (recolour(albedo, each, skin) for each in (plain, drawn))
+    assert torch.equal(before[..., :2], after[..., :2])
+    assert torch.equal(before[..., 2:], albedo[..., 2:])
+    expected = albedo * torch.tensor(drawn.beside).view(1, 3, 1, 1)
+    torch.testing.assert_close(after[..., 2:], expected[..., 2:].clamp_max(1))
+    several = [draw(np.random.default_rng(k), config).beside for k in range(400)]
+    logarithms = np.log(several)
+    assert np.allclose(logarithms.std(axis=0), 0.5 * (10 / 9) ** 0.5, rtol=0.15)
+    # Most of it is one gain for all colours.
+    assert np.corrcoef(logarithms.T).min() > 0.8
+
+
+def test_attention_takes_weighted_means_of_what_places_show() -> None:
+    torch.manual_seed(3)
+    attention = Attention(channels=5, places=12, heads=2)
+    attention.here.data.normal_()
+    features = torch.randn(3, 5, 4, 3)
+    found = attention(features).detach().numpy()
+    plain = features.numpy().astype(np.float64).reshape(3, 5, 12)
+    key, own = (x.detach().numpy().astype(np.float64) for x in attention.seen.parameters())
+    score = np.einsum("hc,bcn->bhn", key[:, :, 0, 0], plain) + own[:, None]
+    score = np.exp(score + attention.here.detach().numpy())
+    weights = score / score.sum(axis=2, keepdims=True)
+    expected = np.einsum("bhn,bcn->bhc", weights, plain).reshape(3, 10)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    # Whatever weighs them, means of one value are that value.
+    level = attention(torch.full((1, 5, 4, 3), 0.7))
+    torch.testing.assert_close(level, torch.full((1, 10), 0.7))
+
+
+def test_a_network_without_attention_has_the_weights_of_before() -> None:
+    torch.manual_seed(0)
+    before, with_heads = (
+        WholeFaceNetwork(dataclasses.replace(SIZE, heads=heads)) for heads in (0, 2)
+    )
+    names = set(before.state_dict())
+    assert names < set(with_heads.state_dict())
+    assert not any(name.startswith(("attention", "back")) for name in names)
 
 
 def test_a_displaced_pair_shows_other_places_and_its_truth_stays(store_path: Path) -> None:
@@ -381,7 +448,8 @@ def test_another_layout_another_size_and_a_tiny_texture_are_refused(
 
 
 def test_the_modern_preset_refuses_what_cannot_be() -> None:
-    assert preset("modern", {}, "test") == WholeTrainConfig()
+    modern = WholeTrainConfig(network=WholeFaceConfig(heads=8), batch=16)
+    assert preset("modern", {}, "test") == modern
     for wrong, message in (
         ({"network": {"rows": 50}}, "network.rows: found 50, expected a multiple of 8"),
         ({"network": {"width": -1}}, "network.width: found -1, expected 2 or more"),
