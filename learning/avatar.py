@@ -115,7 +115,7 @@ def avatar_command(
         notes.insert(
             0,
             f"no detail: the normals of {facts['rows']} rows have no pores and folds, those of "
-            "1536 rows and more may",
+            "768 rows and more may",
         )
     return {
         "rows": facts["rows"],

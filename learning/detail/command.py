@@ -74,7 +74,7 @@ def detail_command(
             source.folder / "specular_normal.exr",
             found="the mesh's own normals",
             expected="finer ones",
-            hint="`infer --mesostructure` finds pores and folds from 1536 rows on.",
+            hint="`infer --mesostructure` finds pores and folds from 768 rows on.",
         )
     shown = source.spread(height.astype(np.float32))
     facts = {
