@@ -113,7 +113,7 @@ def fit_tiles(
     own = np.zeros((camera.height_px, camera.width_px, 3), np.float32)
     if light is not None:
         own = picture(out / MAPS, mesh, light, camera)
-    shown = [cut(image, place) for image in (read_photograph(photo)[0], own)]
+    shown = [cut(image, place) for image in (read_photograph(photo).rgb_linear, own)]
     return [*shown, tile(picture(out / MAPS, mesh, side, turned_camera()))]
 
 

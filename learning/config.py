@@ -37,6 +37,8 @@ class TrainingConfig(abc.ABC):
 
     family: ClassVar[str]
     """Of networks, as checkpoints name it."""
+    most_rows: ClassVar[int | None] = None
+    """Rows at most at which textures are trained on; finer ones are shrunk to them."""
     lights: RandomLightConfig = dataclasses.field(default_factory=RandomLightConfig)
     augment: AugmentConfig = dataclasses.field(default_factory=AugmentConfig)
     batch: int = 1
@@ -49,6 +51,10 @@ class TrainingConfig(abc.ABC):
     seed: int = 0
     log_steps: int = 20
     save_seconds: float = 60.0
+
+    def rows_shown(self, rows: int) -> int:
+        """Rows at which a store's textures are trained on."""
+        return rows if self.most_rows is None else min(rows, self.most_rows)
 
     @property
     @abc.abstractmethod

@@ -101,7 +101,11 @@ def detail(
         typer.Option(help="Mesh with the maps' UV; else registered_mesh.obj beside the maps."),
     ] = None,
     longest_mm: Annotated[
-        float, typer.Option(help="Size in mm above which relief is the mesh's, not the normals'.")
+        float,
+        typer.Option(
+            help="Length in mm of the waves of relief that keep half of their height; longer ones "
+            "are the mesh's."
+        ),
     ] = RELIEF_MM,
     subdivide: Annotated[
         int, typer.Option(help="How often triangles are split into four; 0 for no mesh.")

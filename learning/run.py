@@ -339,7 +339,7 @@ def begin(
         "config": as_dict(config),
         "data_fingerprint": store.fingerprint,
         "held_out": sorted(held_out),
-        "texture_rows": store.scans[0].rows,
+        "texture_rows": config.rows_shown(store.scans[0].rows),
         "metrics": {},
     }
     return Run(out, config, about, first, began, spent, processes, EventFile(out), shadows=shadows)

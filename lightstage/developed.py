@@ -167,7 +167,7 @@ def _check_png(data: bytes, path: Path, grey: bool = False) -> None:
     width, height = struct.unpack(">II", data[16:24])
     _check_size(width, height, path)
     bits, colour_type = data[24], data[25]
-    if not colour_type & _PNG_COLOUR and not (grey and colour_type == 0):
+    if not colour_type & _PNG_COLOUR and not grey:
         raise _refused(path, "a grey PNG")
     if bits not in BITS:
         raise _refused(path, f"a PNG of {bits} bits")

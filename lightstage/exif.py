@@ -28,6 +28,7 @@ EXPOSURE, F_NUMBER, ISO, ISO_SPEED = 33434, 33437, 34855, 34867
 TAKEN, OFFSET, SUBSECONDS = 36867, 36881, 37521
 MAKER_NOTE, USER_COMMENT, OWNER, BODY_SERIAL, DNG_SERIAL = 37500, 37510, 42032, 42033, 50735
 FOCAL, FOCAL_35MM, PLANE_X, PLANE_UNIT = 37386, 41989, 41486, 41488
+WIDE_PX, HIGH_PX = 40962, 40963
 PLANE_UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0}
 """FocalPlaneResolutionUnit: inch, centimetre, millimetre."""
 MAKE, MODEL, ORIENTATION, XMP, IPTC = 271, 272, 274, 700, 33723
@@ -76,6 +77,7 @@ class Exif:
         focal_mm: the lens's focal length.
         focal_35mm_mm: the same for film 36 mm wide.
         focal_plane_px_per_mm: pixels on a millimetre of the sensor.
+        longer_px: longer side of the picture that the camera wrote.
         orientation: tag of the picture's first directory, 1 to 8.
     """
 
@@ -90,6 +92,7 @@ class Exif:
     focal_mm: float | None = None
     focal_35mm_mm: float | None = None
     focal_plane_px_per_mm: float | None = None
+    longer_px: int | None = None
     orientation: int | None = None
 
     @property
@@ -198,6 +201,7 @@ def _collect(parts: list[Directory]) -> Exif:
         iso = number(ISO_SPEED) or iso
     turned = next((d.number(ORIENTATION) for d in parts if d.kind == "picture"), None)
     plane, unit = number(PLANE_X), number(PLANE_UNIT)
+    longer = max(number(WIDE_PX) or 0, number(HIGH_PX) or 0)
     return Exif(
         make=text(MAKE, kind="picture"),
         model=text(MODEL, kind="picture"),
@@ -207,6 +211,7 @@ def _collect(parts: list[Directory]) -> Exif:
         f_number=number(F_NUMBER),
         focal_mm=number(FOCAL),
         focal_35mm_mm=number(FOCAL_35MM),
+        longer_px=round(longer) if longer > 0 else None,
         focal_plane_px_per_mm=None
         if plane is None
         else plane / PLANE_UNITS_MM.get(round(unit or 2), 25.4),

@@ -40,7 +40,7 @@ def detail_command(
         maps: a processed folder, its atlas, maps of `infer`, or a fit's folder.
         mesh: of the maps; registered_mesh.obj beside them where None.
         out: folder to make; one of an earlier call is replaced.
-        longest_mm: size above which relief is the mesh's.
+        longest_mm: length of the waves of relief of which half is the mesh's.
         times: how often each triangle of the embossed mesh is split into four; 0 for no mesh.
         progress: of the three steps.
 

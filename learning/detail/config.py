@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-RELIEF_MM = 10.0
-"""Size above which relief is the mesh's, not the normals'."""
+RELIEF_MM = 60.0
+"""Length of the waves of relief of which half is the mesh's: of longer ones more, of pores none."""
 TIMES = 2
 """How often triangles are split into four."""
-RELIEF_BOUNDS_MM = (0.5, 100.0)
+RELIEF_BOUNDS_MM = (3.0, 600.0)
 MOST_TIMES = 4

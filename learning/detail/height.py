@@ -61,7 +61,8 @@ def heights_mm(
         base_normal: (rows, columns, 3) unit, the mesh's.
         fine_normal: (rows, columns, 3) unit, the same axes; where there is none the mesh's counts.
         covered: (rows, columns) bool, where a surface is.
-        longest_mm: size above which relief is the mesh's.
+        longest_mm: length of the waves of relief that keep half of their height; the rest, and
+            more of longer ones, is the mesh's.
 
     Returns:
         (rows, columns) float64 mm, zero outside, and the rounds of the search.
@@ -79,7 +80,9 @@ def heights_mm(
     wide, high = _typical(across_mm, across_known), _typical(down_mm, down_known)
     if not (wide > 0 and high > 0):
         return np.zeros(covered.shape), 0
-    hold = known * (wide * high / max(longest_mm, 1e-9) ** 2)
+    # A wave of length s has a slope of 2 pi / s times its height: where this is as heavy as the
+    # hold, half of the wave remains.
+    hold = known * (wide * high * (2 * np.pi / max(longest_mm, 1e-9)) ** 2)
     steps = Steps(
         across,
         down,

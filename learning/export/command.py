@@ -98,7 +98,9 @@ def export_command(
         place = ProcessedFolder(source.folder.parent).registered_mesh if mesh is None else mesh
         other = read_source(compare, place, template)
         sides = {"inferred": (other, Pictures(other)), **sides}
-    morphs, notes = _morphs(source, template)
+    morphs, notes = _morphs(source, template if "gltf" in chosen else None, mesh)
+    if template is not None and "gltf" not in chosen:
+        notes = ["expressions (--template) are written to glTF alone: no morph targets"]
     notes = [*source.notes, *notes]
     pictures: Pictures = list(sides.values())[-1][1]
     written: list[tuple[str, str, str]] = []
@@ -163,12 +165,17 @@ def _write_programs(
         step()
 
 
-def _morphs(source: Source, template: Path | None) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Morph targets of a template, and notes for the user."""
+def _morphs(
+    source: Source, template: Path | None, mesh: Path | None
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Morph targets of a template, and notes for the user; the mesh's own file may be elsewhere."""
     if template is None:
         return {}, []
-    pose = ProcessedFolder(source.folder.parent).head_pose
-    placed = read_head_pose(pose) if pose.exists() else np.eye(3, 4)
+    places = [source.folder.parent, *([] if mesh is None else [mesh.parent])]
+    poses = [
+        pose for pose in (ProcessedFolder(place).head_pose for place in places) if pose.exists()
+    ]
+    placed = read_head_pose(poses[0]) if poses else None
     targets, others = morph_targets(template, source.mesh, placed)
     if others:
         return targets, [f"expressions without ARKit's name, left out: {', '.join(others)}"]

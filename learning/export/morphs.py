@@ -10,6 +10,7 @@ import numpy as np
 from learning.errors import MapsError
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.template import load_template
+from processing.registration.rigid import umeyama
 
 SIDED = (
     "browDown", "browOuterUp", "cheekSquint", "eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut",
@@ -24,6 +25,8 @@ WHOLE = (
 ARKIT = (*(f"{name}{side}" for name in SIDED for side in ("Left", "Right")), *WHOLE)
 """The 52 blend shapes of ARKit [ARKit17]."""
 
+HEAD_FRAME_DEG = 10.0
+"""Registered heads in the head frame are turned by less against the template."""
 MIDDLE_MM = 12.0
 """Half the width of the middle, where one side of a split expression fades into the other."""
 BOTH_SIDES = {
@@ -80,15 +83,26 @@ def arkit_name(own: str) -> str | None:
     return camel if camel in ARKIT else half if half in WHOLE else None
 
 
+def axes_of(mesh: Mesh, head: Mesh) -> np.ndarray:
+    """(3, 3) rotation from a mesh's axes to a template's, by vertices in the same order.
+
+    A person is not the template: what turns a head less than `HEAD_FRAME_DEG` is the shape, and the
+    mesh is in the head frame.
+    """
+    rotation = umeyama(mesh.vertices, head.vertices).rotation
+    angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
+    return np.eye(3) if angle < HEAD_FRAME_DEG else rotation
+
+
 def morph_targets(
-    template: Path, mesh: Mesh, head_from_mesh: np.ndarray
+    template: Path, mesh: Mesh, head_from_mesh: np.ndarray | None
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
     """A template's expressions that ARKit has, turned to a mesh's axes.
 
     Args:
         template: folder.
         mesh: of the template's vertices, in any rigid pose.
-        head_from_mesh: (3, 4), to the template's axes.
+        head_from_mesh: (3, 4), to the template's axes; where None the vertices tell it.
 
     Returns:
         By ARKit's name (n, 3) offsets in mm; and the names of expressions that ARKit lacks.
@@ -108,6 +122,7 @@ def morph_targets(
             expected=f"the mesh's {len(mesh.vertices)} and {len(mesh.faces)}, in its order",
             hint="Give the template that the head was registered to.",
         )
+    turn = axes_of(mesh, found.mesh) if head_from_mesh is None else head_from_mesh[:, :3]
     targets: dict[str, np.ndarray] = {}
     others = []
     if found.modes is not None:
@@ -118,5 +133,5 @@ def morph_targets(
                 others.append(own)
             for name, part in parts.items():
                 # Row vectors: the inverse of a rotation is its transpose.
-                targets[name] = targets.get(name, 0.0) + part @ head_from_mesh[:, :3]
+                targets[name] = targets.get(name, 0.0) + part @ turn
     return targets, tuple(others)

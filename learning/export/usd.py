@@ -16,7 +16,7 @@ from learning.export.encode import SPECULAR_WHITE, perceptual
 from learning.export.gltf import unit_normals
 from learning.export.pictures import CONSTANT_ROUGHNESS
 from learning.export.source import Source
-from learning.render.dielectric import F0, INDEX
+from learning.render.dielectric import INDEX
 from lightstage.formats.files import atomic_path
 
 MM_IN_METRES = 0.001
@@ -166,13 +166,29 @@ def _materialx(stage: Any, material: Any, paths: dict[str, str]) -> None:
     shader.CreateInput("subsurface_color", kinds.Color3f).ConnectToSource(colour)
     shader.CreateInput("subsurface_radius", kinds.Color3f).Set(Gf.Vec3f(1, 0.35, 0.15))
     shader.CreateInput("subsurface_scale", kinds.Float).Set(SCATTERING_MM)
-    shader.CreateInput("specular_IOR", kinds.Float).Set(INDEX)
-    times = node("specular_weight", "multiply_float")
-    times.CreateInput("in1", kinds.Float).ConnectToSource(picture("specular", False))
-    times.CreateInput("in2", kinds.Float).Set(SPECULAR_WHITE / F0)
-    shader.CreateInput("specular", kinds.Float).ConnectToSource(
-        times.CreateOutput("out", kinds.Float)
+
+    def of(name: str, kind: str, first: Any, second: Any) -> Any:
+        found = node(name, f"{kind}_float")
+        for slot, value in (("in1", first), ("in2", second)):
+            given = found.CreateInput(slot, kinds.Float)
+            if isinstance(value, float):
+                given.Set(value)
+            else:
+                given.ConnectToSource(value)
+        return found.CreateOutput("out", kinds.Float)
+
+    # The weight is a share, and a share of the index's rim: an index of its own for each texel
+    # mirrors all light at grazing angles, and the map's from in front. n = (1 + r) / (1 - r), where
+    # r is the root of the reflectance.
+    root = of(
+        "root",
+        "power",
+        of("reflectance", "multiply", picture("specular", False), SPECULAR_WHITE),
+        0.5,
     )
+    index = of("index", "divide", of("above", "add", root, 1.0), of("below", "subtract", 1.0, root))
+    shader.CreateInput("specular_IOR", kinds.Float).ConnectToSource(index)
+    shader.CreateInput("specular", kinds.Float).Set(1.0)
     rough = shader.CreateInput("specular_roughness", kinds.Float)
     if "roughness" in paths:
         rough.ConnectToSource(picture("roughness", False))

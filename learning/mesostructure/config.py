@@ -8,6 +8,7 @@ from typing import ClassVar
 from learning.config import TrainingConfig
 from learning.forward import Compile, Precision
 from learning.mesostructure.network import MesostructureConfig
+from learning.whole.faces import LARGEST_ROWS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,6 +59,7 @@ class MesostructureTrainConfig(TrainingConfig):
     """
 
     family: ClassVar[str] = "mesostructure"
+    most_rows: ClassVar[int | None] = LARGEST_ROWS
     network: MesostructureConfig = dataclasses.field(default_factory=MesostructureConfig)
     patches: LitPatchesConfig = dataclasses.field(default_factory=LitPatchesConfig)
     batch: int = 8

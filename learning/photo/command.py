@@ -25,7 +25,7 @@ from learning.photo.eyes import openings, whites_are_seen
 from learning.photo.fit import FittedHead, fit_head
 from learning.photo.grey import coloured, has_no_colour
 from learning.photo.page import write_page
-from learning.photo.picture import read_photograph
+from learning.photo.picture import PhotoFile, read_photograph
 from learning.photo.shape_fit import Photograph, Places
 from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
@@ -124,10 +124,10 @@ def read_all(request: FitRequest, template: Template) -> tuple[list[Photograph],
     notes: list[str] = []
     photographs = []
     for path in paths:
-        rgb, focal = read_photograph(path, request.film_mm)
-        points, eyes_px = marks.of(path, rgb, notes)
-        photographs.append(Photograph(path.name, rgb, points, focal, eyes_px))
-        if focal is None:
+        file = read_photograph(path, request.film_mm)
+        points, eyes_px = marks.of(path, file, notes)
+        photographs.append(Photograph(path.name, file.rgb_linear, points, file.focal_px, eyes_px))
+        if file.focal_px is None:
             notes.append(
                 f"{path.name} does not state its focal length: it was fitted, and the face's depth "
                 "is less certain (--focal-35mm)"
@@ -160,6 +160,7 @@ class Marks:
         self._face = request.face
         self._file = request.landmarks
         self._stated: dict[str, np.ndarray] = {}
+        self._taken: dict[str, Path] = {}
         scheme = FACE_MESH
         if self._file is not None:
             scheme = str(read_json(self._file, "lightstage.landmarks/1").get("scheme"))
@@ -186,16 +187,16 @@ class Marks:
             weights = np.tile([1.0, 0.0, 0.0], (len(corners), 1))
             self.places = Places(corners, weights, np.zeros(len(corners)))
 
-    def of(
-        self, path: Path, rgb_linear: np.ndarray, notes: list[str]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def of(self, path: Path, file: PhotoFile, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
         """(p, 2) landmarks of a photograph, NaN where hidden, and `openings` of its eyes.
 
         Raises:
-            MapsError: no face, no face of that number, or none in the file.
+            MapsError: no face, no face of that number, or none in the file of landmarks, or those
+                of two photographs in one.
         """
+        rgb_linear = file.rgb_linear
         if self._file is not None:
-            points = self._stated_in(self._file, path)
+            points = file.scale * self._stated_in(self._file, path)
         else:
             points = self._detected(path, rgb_linear, notes)
         marks = points if len(points) == len(IBUG_PAIRS) else ibug68(points)
@@ -208,8 +209,18 @@ class Marks:
 
     def _stated_in(self, file: Path, path: Path) -> np.ndarray:
         for name in (path.name, path.stem):
-            if name in self._stated:
-                return self._stated[name]
+            if name not in self._stated:
+                continue
+            if name in self._taken:
+                raise MapsError(
+                    file,
+                    field=f"points_px, {name}",
+                    found=f"one entry for {self._taken[name]} and {path}",
+                    expected="the landmarks of each photograph, by its file's name",
+                    hint="Rename one of the two photographs.",
+                )
+            self._taken[name] = path
+            return self._stated[name]
         raise MapsError(
             file,
             field="points_px",

@@ -18,6 +18,8 @@ LEAST_PX = 8
 """Least width of an eye in which its white can be told from its iris."""
 AS_BRIGHT, AS_COLOURED, LEAST_SHARE = 0.4, 0.7, 0.08
 """White is at least so bright beside skin, at most so saturated, and this share of an open eye."""
+LEAST_SATURATION = 0.02
+"""Of skin: below it a photograph has no colour."""
 GROWN = 2.0
 """White that reaches into the eye's outline is followed so far beyond, in sizes of the outline: the
 detector's is a few millimetres off."""
@@ -36,12 +38,12 @@ def whites_are_seen(rgb_linear: np.ndarray, marks: np.ndarray) -> bool | None:
 
     Returns:
         None where it cannot be known: both eyes are hidden by the head or too small, or there is
-        no skin to compare with.
+        no skin of any colour to compare with.
     """
     eyes = [marks[each] for each in EYES]
     large = [eye for eye in eyes if np.isfinite(eye).all() and np.ptp(eye[:, 0]) >= LEAST_PX]
     skin = _skin(rgb_linear, marks)
-    if not large or skin is None:
+    if not large or skin is None or _saturation(skin) < LEAST_SATURATION:
         return None
     return bool(np.isfinite(openings(rgb_linear, marks)).any())
 
@@ -55,13 +57,16 @@ def openings(rgb_linear: np.ndarray, marks: np.ndarray) -> np.ndarray:
 
     Returns:
         (2, 3, 2) px, of the person's right and left eye: the corner up and left in an upright face,
-        the side from there to the face's left, and the side down. NaN where no white is seen.
+        the side from there to the face's left, and the side down. NaN where no white is seen,
+        and where the photograph has no colour: lids in light are as bright as whites.
     """
     found = np.full((2, 3, 2), np.nan)
     skin = _skin(rgb_linear, marks)
     for index, outline in enumerate(EYES):
         eye = marks[outline]
-        if skin is None or not np.isfinite(eye).all() or np.ptp(eye[:, 0]) < LEAST_PX:
+        if skin is None or _saturation(skin) < LEAST_SATURATION:
+            continue
+        if not np.isfinite(eye).all() or np.ptp(eye[:, 0]) < LEAST_PX:
             continue
         opening = _opening(rgb_linear, eye, skin)
         if opening is not None:
@@ -121,8 +126,7 @@ def _white(rgb: np.ndarray, skin: np.ndarray) -> np.ndarray:
     """(h, w) bool, pixels nearly as bright as skin and clearly less coloured."""
     bright = rgb.mean(axis=-1) > AS_BRIGHT * skin.mean()
     plain = _saturation(rgb) < AS_COLOURED * _saturation(skin)
-    # A photograph without colour tells by brightness alone.
-    return np.asarray(bright & (plain | (_saturation(skin) < 0.02)))
+    return np.asarray(bright & plain)
 
 
 def _inside(eye: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

@@ -49,10 +49,10 @@ LARGEST_MISFIT = 3.0
 """Of a light that explains a photograph. Shadows fall a little beside where the fitted shape casts
 them: hard lights leave 1.8 to 2.4 and are found within 7 to 17 degrees. An aged face behind glasses
 leaves 3.4: taken all the same, its light gave a blotched skin."""
-MOST_YAW_DEG = 10.0
-"""From how far aside a photograph fills the texels of eyes. Seven photographs from in front gained
-1.4 dB of albedo, four from 20 and 35 degrees, where the shape's own texels show more white, lost
-6."""
+MOST_ASIDE_DEG = 15.0
+"""How far off straight in front a photograph fills the texels of eyes, at most. Seven photographs
+from in front gained 1.4 dB of albedo, four from 20 and 35 degrees to the side, where the shape's
+own texels show more white, lost 6."""
 DARK = 0.01
 """Added to both before a photograph is compared with its model."""
 
@@ -120,21 +120,14 @@ def fit_head(
     several = len(photographs) > 1
     looked: list[_Looked] = []
     for index, photograph in enumerate(photographs):
-        found = _look(photograph, shape, index, template, network, config.rounds, several)
-        if found.share >= LEAST_SEEN:
-            looked.append(found)
-        elif index == 0:
-            raise MapsError(
-                photograph.name,
-                found=f"{100 * found.share:.0f} % of the face",
-                expected=f"{100 * LEAST_SEEN:.0f} % or more",
-                hint="Take a photograph from farther in front.",
-            )
+        try:
+            found = _look(photograph, shape, index, template, network, config.rounds, several)
+        except MapsError as error:
+            if index == 0:
+                raise
+            notes.append(f"{photograph.name} gives the shape alone, no texture: {error}")
         else:
-            notes.append(
-                f"{photograph.name} shows {100 * found.share:.0f} % of the face: it tells the "
-                "shape, not the texture"
-            )
+            looked.append(found)
         progress(2 + index, steps)
     texels = [
         _Texels(each, config.rows, template, shape.model.face, super_resolution) for each in looked
@@ -153,7 +146,7 @@ def fit_head(
         camera,
         mesostructure,
         network_sees,
-        own=OwnShares(config.marks_share, config.detail_share, first.eyes),
+        own=OwnShares(config.marks_share, config.detail_share, _own_eyes(texels, together.source)),
     )
     progress(steps - 1, steps)
     notes += inferred.notes
@@ -200,7 +193,6 @@ class _Looked:
         mesh: the person as it shows them.
         camera: of it.
         person: (h, w) bool, its pixels that show the person.
-        share: of the face that it shows.
         other: (rows, columns) bool, texels that it shows and that are no skin.
         masked: share of these in the face.
         found: skin and light; None where they were not asked for.
@@ -211,7 +203,6 @@ class _Looked:
     mesh: Mesh
     camera: Camera
     person: np.ndarray
-    share: float
     other: np.ndarray
     masked: float
     found: Inferred | None
@@ -226,17 +217,26 @@ def _look(
     rounds: int,
     light: bool,
 ) -> _Looked:
-    """Find in a photograph what is skin, and its light where it is asked for."""
+    """Find in a photograph what is skin, and its light where it is asked for.
+
+    Raises:
+        MapsError: it shows too little of the face, or in too much or too little light.
+    """
     mesh, camera, vertices = shape.meshes[index], shape.cameras[index], shape.model.face
     person = foreground(photograph.rgb_linear, mesh, vertices, camera)
     nothing = np.zeros((COARSE_ROWS, COARSE_ROWS * 2 // 3), bool)
-    looked = _Looked(photograph, index, mesh, camera, person, 0.0, nothing, 0.0, None)
+    looked = _Looked(photograph, index, mesh, camera, person, nothing, 0.0, None)
     coarse = _Texels(looked, COARSE_ROWS, template, vertices)
     face = coarse.raster.interpolate(vertices[:, None].astype(float))[..., 0] > 0.5
     shown = coarse.unwrapped.seen
     share = float((shown & face).sum() / max(face.sum(), 1))
     if share < LEAST_SEEN:
-        return dataclasses.replace(looked, share=share)
+        raise MapsError(
+            photograph.name,
+            found=f"{100 * share:.0f} % of the face",
+            expected=f"{100 * LEAST_SEEN:.0f} % or more",
+            hint="Take a photograph from farther in front.",
+        )
     keep = features(template, coarse.raster)
     skin, found = shown, None
     texture = coarse.unwrapped.texture
@@ -258,7 +258,15 @@ def _look(
     if light and not settled:
         found = coarse.inferred(network, texture, skin, FIRST_SECONDS, camera, None)
     masked = float(1 - (skin & face).sum() / max((shown & face).sum(), 1))
-    return dataclasses.replace(looked, share=share, other=shown & ~skin, masked=masked, found=found)
+    return dataclasses.replace(looked, other=shown & ~skin, masked=masked, found=found)
+
+
+def _own_eyes(texels: list[_Texels], source: np.ndarray) -> np.ndarray | None:
+    """(rows, columns) bool, texels that show open eyes in the photograph they are from."""
+    parts = [(each.eyes, index) for index, each in enumerate(texels) if each.eyes is not None]
+    if not parts:
+        return None
+    return np.logical_or.reduce([eyes & (source == index) for eyes, index in parts])
 
 
 def _together(looked: list[_Looked], texels: list[_Texels]) -> Joined:
@@ -322,7 +330,7 @@ class _Texels:
         )
         self.eyes: np.ndarray | None = None
         openings_px = looked.photograph.eyes_px
-        if openings_px is not None and yaw_deg(camera) <= MOST_YAW_DEG:
+        if openings_px is not None and aside_deg(camera) <= MOST_ASIDE_DEG:
             eyes = eye_texels(template, self.raster)
             if eyes is not None:
                 self.unwrapped, self.eyes = with_eyes(
@@ -377,10 +385,10 @@ def joined(
     return (texture * covered[..., None]).astype(np.float32)
 
 
-def yaw_deg(camera: Camera) -> float:
-    """How far a camera stands to the side of a head in its own frame, 0 to 180."""
-    across, _, ahead = camera.centre_mm
-    return float(np.degrees(np.abs(np.arctan2(across, ahead))))
+def aside_deg(camera: Camera) -> float:
+    """How far a camera stands from straight in front of a head in its own frame, 0 to 180."""
+    across, above, ahead = camera.centre_mm
+    return float(np.degrees(np.arctan2(np.hypot(across, above), ahead)))
 
 
 def _lit(

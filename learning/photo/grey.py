@@ -11,7 +11,7 @@ GREY = 0.03
 COLOURFUL = 0.01
 """... but for so many of its pixels: a JPEG's blocks are a little off."""
 DARK = 0.02
-"""Linear value below which a pixel's colour is noise."""
+"""Of the photograph's bright pixels: below it a pixel's colour is noise."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Of linear sRGB [IEC61966]."""
 
@@ -19,9 +19,10 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 def has_no_colour(rgb_linear: np.ndarray) -> bool:
     """Whether a photograph, (h, w, 3), is black and white."""
     most, least = rgb_linear.max(axis=2), rgb_linear.min(axis=2)
-    bright = most > DARK
-    if not bright.any():
+    level = float(np.percentile(most, 99))
+    if not level > 0:
         return True
+    bright = most > DARK * level
     return bool((most - least > GREY * most)[bright].mean() < COLOURFUL)
 
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from learning.photo.model import ShapeModel
+from learning.photo.sampling import sampled
 from learning.render.view import cast_from, scene_of
 from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.rig import Camera
@@ -76,7 +77,7 @@ def find_rims(
     # About as eyes see it, so that dark edges count too.
     seen = np.sqrt(np.clip(np.nan_to_num(rgb_linear), 0, 4)).astype(np.float32)
     soft = cv2.GaussianBlur(seen, (0, 0), 1.0)
-    colours = [sampled(np.ascontiguousarray(soft[..., c]), at) for c in range(3)]
+    colours = [sampled(np.ascontiguousarray(soft[..., c]), at).astype(float) for c in range(3)]
     values = np.stack(colours, axis=1).reshape(len(middle), len(offsets), 3)
     change = np.linalg.norm(values[:, 2:] - values[:, :-2], axis=2)
     score = change * np.exp(-0.5 * (offsets[1:-1] / (0.5 * reach)) ** 2)
@@ -124,17 +125,3 @@ def outline(mesh: Mesh, camera: Camera) -> np.ndarray:
     itself = np.abs(inner - distance[:, 0]) < ITSELF_MM
     found: np.ndarray = pairs[clear & itself]
     return found
-
-
-def sampled(image: np.ndarray, places_px: np.ndarray) -> np.ndarray:
-    """Bilinear values of an image at (s, 2) places, the border's beyond it."""
-    at = np.clip(places_px - 0.5, -1e4, 3e4).astype(np.float32)
-    if not len(at):
-        return np.zeros(0)
-    out = [
-        cv2.remap(
-            image, part[:, :1], part[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )[:, 0]
-        for part in np.array_split(at, max(1, len(at) // 30_000))
-    ]
-    return np.concatenate(out).astype(float)

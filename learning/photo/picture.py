@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import cv2
@@ -22,15 +23,27 @@ FOCAL_RANGE = (0.3, 30.0)
 """Focal length over the longer side, from a fisheye to a telescope."""
 
 
-def read_photograph(path: Path, film_mm: float | None = None) -> tuple[np.ndarray, float | None]:
+@dataclasses.dataclass(frozen=True)
+class PhotoFile:
+    """What a file holds.
+
+    Attributes:
+        rgb_linear: (h, w, 3) float32, upright.
+        focal_px: focal length in its pixels, or None.
+        scale: its pixels over the file's, below 1 where it was made smaller.
+    """
+
+    rgb_linear: np.ndarray
+    focal_px: float | None
+    scale: float
+
+
+def read_photograph(path: Path, film_mm: float | None = None) -> PhotoFile:
     """Read a JPEG, PNG or TIFF (its profile or sRGB is undone; grey too), or a linear OpenEXR.
 
     Args:
         path: the file.
         film_mm: 35 mm equivalent of the focal length, in place of what the file states.
-
-    Returns:
-        (h, w, 3) float32 linear, upright, and the focal length in pixels or None.
 
     Raises:
         FormatError: see `read_developed` and `read_exr`.
@@ -57,7 +70,9 @@ def read_photograph(path: Path, film_mm: float | None = None) -> tuple[np.ndarra
         size = (round(width * scale), round(height * scale))
         rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
     focal = _focal(path, longer, film_mm)
-    return np.ascontiguousarray(rgb, np.float32), None if focal is None else focal * scale
+    return PhotoFile(
+        np.ascontiguousarray(rgb, np.float32), None if focal is None else focal * scale, scale
+    )
 
 
 def _focal(path: Path, longer_px: int, film_mm: float | None) -> float | None:
@@ -73,8 +88,9 @@ def _focal(path: Path, longer_px: int, film_mm: float | None) -> float | None:
     focal = None
     if exif.focal_35mm_mm:
         focal = exif.focal_35mm_mm / FILM_MM * longer_px
-    elif exif.focal_mm and exif.focal_plane_px_per_mm:
-        focal = exif.focal_mm * exif.focal_plane_px_per_mm
+    elif exif.focal_mm and exif.focal_plane_px_per_mm and exif.longer_px:
+        # Of the camera's own picture: a program that shrank it left the fields as they were.
+        focal = exif.focal_mm * exif.focal_plane_px_per_mm * longer_px / exif.longer_px
     if focal is None or not FOCAL_RANGE[0] <= focal / longer_px <= FOCAL_RANGE[1]:
         return None
     return float(focal)

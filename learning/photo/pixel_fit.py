@@ -28,7 +28,8 @@ from learning.photo.face_places import (
 )
 from learning.photo.landmark_fit import Problem, Unknowns, camera_of, descended, projected
 from learning.photo.model import ShapeModel
-from learning.photo.outline import Rims, find_rims, sampled
+from learning.photo.outline import Rims, find_rims
+from learning.photo.sampling import sampled
 from learning.photo.unwrap import unwrap
 from learning.render.occlusion import ShadowCaster
 from learning.render.uv import rasterise, spread_outside
@@ -82,7 +83,7 @@ class Picture:
     def at(self, places_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(s,) values and (s, 2) slopes at (s, 2) places."""
         images = (self._value, self._across, self._down)
-        value, across, down = (sampled(image, places_px) for image in images)
+        value, across, down = (sampled(image, places_px).astype(float) for image in images)
         return value, np.stack([across, down], axis=1)
 
 
@@ -291,7 +292,7 @@ class PixelFit:
         # At a shadow's border a shape that is nearly right gives no useful error.
         share = strength[:-1] / max(float(strength.sum()), 1e-6)
         border = np.clip(share @ (4 * seen * (1 - seen)), 0, 1)
-        value = sampled(picture.light, camera.project(position)[0])
+        value = sampled(picture.light, camera.project(position)[0]).astype(float)
         weight = visible(mesh, camera, position, normals) * (1 - border) ** 2
         return Lit(lamps, seen, openness, strength, shine, weight * (value / (value + DARK)) ** 2)
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import open3d
 
+from learning.photo.sampling import sampled
 from learning.render.uv import UvRaster
 from learning.render.view import cast_from, scene_of
 from lightstage.formats.mesh import Mesh
@@ -24,7 +25,9 @@ EDGE_PX = 4
 GRAZING = 0.2
 """Cosine to the camera below which a texel is not taken from the photograph."""
 LARGEST_DEPTH_PX = 1024
-"""Edges of depth are looked for in a picture of so many pixels a side at most."""
+"""Edges of depth are looked for in a picture of the head of so many pixels a side at most."""
+BESIDE_MM = 10.0
+"""Of the scene around what is seen, in that picture."""
 LEAST_ISLAND = 0.02
 """Of the largest island of seen texels: smaller ones are slivers."""
 
@@ -108,20 +111,38 @@ def smaller(camera: Camera, largest_px: int) -> Camera:
     return camera if longer <= largest_px else camera.scaled(largest_px / longer)
 
 
-def depth_camera(camera: Camera, away_mm: float) -> tuple[Camera, int]:
+def depth_camera(
+    camera: Camera, away_mm: float, place_px: np.ndarray
+) -> tuple[Camera, int, np.ndarray]:
     """The camera of the picture in which edges of depth are looked for, and how far, in pixels.
 
     In a photograph of few pixels the cheek's slope would be a step of depth from pixel to pixel,
     so that the picture of depth has pixels of its own: as large as `EDGE_MM` asks, of at most
-    `LARGEST_DEPTH_PX` a side.
+    `LARGEST_DEPTH_PX` a side. It shows the head alone, which may be small in its photograph.
 
     Args:
         camera: of the photograph.
         away_mm: distance of what it shows.
+        place_px: (n, 2) where that is in the photograph.
+
+    Returns:
+        The camera, the pixels, and the (2,) corner of its picture in the photograph.
     """
+    beside = BESIDE_MM * camera.fx_px / away_mm
+    size = np.array([camera.width_px, camera.height_px])
+    low = np.clip(np.floor(place_px.min(axis=0) - beside), 0, size - 1)
+    high = np.clip(np.ceil(place_px.max(axis=0) + beside), low + 1, size)
+    width, height = (high - low).astype(int).tolist()
+    part = dataclasses.replace(
+        camera,
+        width_px=width,
+        height_px=height,
+        cx_px=camera.cx_px - low[0],
+        cy_px=camera.cy_px - low[1],
+    )
     finest = EDGE_PX * away_mm / (EDGE_MM * camera.fx_px)
-    scale = min(finest, LARGEST_DEPTH_PX / max(camera.width_px, camera.height_px))
-    return camera.scaled(scale), max(1, round(EDGE_PX * scale / finest))
+    scale = min(finest, LARGEST_DEPTH_PX / max(width, height))
+    return part.scaled(scale), max(1, round(EDGE_PX * scale / finest)), low
 
 
 def _edges(
@@ -131,7 +152,7 @@ def _edges(
     away_mm: float,
 ) -> np.ndarray:
     """(n,) bool, whether (n, 2) places, so far away, are beside a step of depth."""
-    small, reach = depth_camera(camera, away_mm)
+    small, reach, corner = depth_camera(camera, away_mm, place_px)
     met = cast_from(scene, *small.pixel_rays())["t_hit"]
     depth = np.where(np.isfinite(met), met, 1e6).reshape(small.height_px, small.width_px)
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
@@ -139,9 +160,9 @@ def _edges(
     # Only what is behind the step is in doubt.
     behind = step & (depth > cv2.erode(depth, kernel) + STEP_MM / 2)
     doubtful = behind | (step & (cv2.dilate(depth, kernel) >= 1e5))
-    across, down = small.width_px / camera.width_px, small.height_px / camera.height_px
-    columns = np.clip((place_px[:, 0] * across).astype(int), 0, small.width_px - 1)
-    rows = np.clip((place_px[:, 1] * down).astype(int), 0, small.height_px - 1)
+    at = (place_px - corner) * (small.fx_px / camera.fx_px)
+    columns = np.clip(at[:, 0].astype(int), 0, small.width_px - 1)
+    rows = np.clip(at[:, 1].astype(int), 0, small.height_px - 1)
     found: np.ndarray = doubtful[rows, columns]
     return found
 
@@ -157,18 +178,7 @@ def _sampled(
         scale = np.array([size[0] / rgb.shape[1], size[1] / rgb.shape[0]])
         rgb, place_px = small, place_px * scale
     out = np.zeros((len(place_px), 3), np.float32)
-    at = (place_px[seen] - 0.5).astype(np.float32)
-    # OpenCV's maps have at most 32,767 rows.
-    for start in range(0, len(at), 30_000):
-        part = at[start : start + 30_000]
-        got = cv2.remap(
-            rgb.astype(np.float32),
-            part[:, 0],
-            part[:, 1],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        out[np.flatnonzero(seen)[start : start + 30_000]] = got.reshape(-1, 3)
+    out[seen] = sampled(rgb, place_px[seen])
     return out
 
 

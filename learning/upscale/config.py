@@ -8,6 +8,7 @@ from typing import ClassVar
 from learning.config import TrainingConfig
 from learning.forward import Compile, Precision
 from learning.upscale.network import RcanConfig
+from learning.whole.faces import LARGEST_ROWS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,6 +48,7 @@ class UpscaleTrainConfig(TrainingConfig):
     """
 
     family: ClassVar[str] = "super_resolution"
+    most_rows: ClassVar[int | None] = LARGEST_ROWS
     network: RcanConfig = dataclasses.field(default_factory=RcanConfig)
     pictures: PicturesConfig = dataclasses.field(default_factory=PicturesConfig)
     batch: int = 16

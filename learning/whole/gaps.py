@@ -103,7 +103,7 @@ def continued(image: np.ndarray, known: np.ndarray) -> np.ndarray:
     """
     totals: list[np.ndarray] = [image]
     shares: list[np.ndarray] = [known.astype(np.float32)]
-    while min(shares[-1].shape) > 1:
+    while max(shares[-1].shape) > 1:
         size = tuple((side + 1) // 2 for side in shares[-1].shape[::-1])
         for levels in (totals, shares):
             levels.append(cv2.resize(levels[-1], size, interpolation=cv2.INTER_AREA))

@@ -105,8 +105,8 @@ def face_task(
         return Faces(*own, *drawn, clock=run.clock, lit_on=lit_on, shadows=run.shadows)
 
     faces = faces_of(trained_on, config.faces, config.augment, trainer.device)
-    # Scored are people as they are, and all of their faces.
-    whole = dataclasses.replace(config.faces, partial_share=0.0)
+    # Scored are people as they are, and all of their faces, in place.
+    whole = dataclasses.replace(config.faces, partial_share=0.0, skin_share=0.0, displaced_mm=0.0)
     scored = faces_of(held_out, whole, config.augment.as_they_are())
     if not run.first:
         trainer.network.set_people(faces.in_common(config.network.modes))

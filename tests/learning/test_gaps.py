@@ -64,6 +64,14 @@ def test_an_even_skin_is_even_in_its_gaps() -> None:
     np.testing.assert_allclose(found, 0.2, atol=1e-5)
 
 
+@pytest.mark.parametrize("rows", [(0, 14), (30, 48)])
+def test_skin_known_at_one_end_alone_continues_to_the_other(rows: tuple[int, int]) -> None:
+    known = np.zeros(SIZE, bool)
+    known[slice(*rows)] = True
+    found = without_gaps(np.full((*SIZE, 3), 0.2), known, EVERYWHERE, sides=False)
+    np.testing.assert_allclose(found, 0.2, atol=1e-5)
+
+
 def test_what_is_known_stays_and_what_has_no_surface_is_zero() -> None:
     beside, known, covered = marks(2), EVERYWHERE.copy(), EVERYWHERE.copy()
     known[5:20, 3:9], covered[40:] = False, False

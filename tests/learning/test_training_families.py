@@ -224,3 +224,10 @@ def test_the_last_line_names_which_steps_and_seconds_are_of_this_call() -> None:
     assert "the network took 67 %, waiting for batches 33 %; making batches, much of it" in line
     assert trained_line({**facts, "steps_of_earlier_calls": 0}).startswith("265 steps; 20 s")
     assert trained_line({**facts, "steps": 219}).endswith("PSNR 22.50 dB")
+
+
+def test_a_network_of_detail_states_the_rows_that_it_was_shown() -> None:
+    shown = {name: cls().rows_shown(6144) for name, cls in FAMILIES.items()}
+    assert shown["mesostructure"] == shown["rcan"] == 1536
+    assert shown["paper"] == shown["modern"] == 6144
+    assert all(cls().rows_shown(384) == 384 for cls in FAMILIES.values())

@@ -107,8 +107,10 @@ def test_what_the_simulated_camera_writes_is_read_back(tmp_path):
 @pytest.mark.parametrize(("unit", "px_per_mm"), [(2, 4000 / 25.4), (3, 400.0), (4, 4000.0)])
 def test_focal_lengths_and_the_sensor_s_pixels_are_read(tmp_path, unit, px_per_mm):
     exif = CAMERA | {37386: (5, [850, 10]), 41989: (3, [127]), 41486: (5, [4000, 1])}
-    found = read(tmp_path, tiff(NIKON, exif | {41488: (3, [unit])}))
+    wide = {40962: (3, [4016]), 40963: (4, [6016])}
+    found = read(tmp_path, tiff(NIKON, exif | wide | {41488: (3, [unit])}))
     assert (found.focal_mm, found.focal_35mm_mm) == (85.0, 127.0)
+    assert found.longer_px == 6016
     assert found.focal_plane_px_per_mm == pytest.approx(px_per_mm)
 
 

@@ -67,10 +67,25 @@ def test_relief_longer_than_asked_is_the_meshs() -> None:
     position, base = sheet(200, 200, 0.5)
     tilt = np.radians(3)
     fine = np.broadcast_to([np.sin(tilt), 0, np.cos(tilt)], base.shape)
-    found, _ = heights_mm(position, base, fine, np.ones((200, 200), bool), 5.0)
+    found, _ = heights_mm(position, base, fine, np.ones((200, 200), bool), 30.0)
     # As a plane of three degrees it would be 5.2 mm high.
     assert np.ptp(found[:, 40:160]) < 0.05
     assert np.ptp(found) < 0.6
+
+
+@pytest.mark.parametrize(("times", "kept"), [(0.25, 0.94), (1.0, 0.5), (4.0, 0.06)])
+def test_a_wave_as_long_as_asked_keeps_half_its_height(times: float, kept: float) -> None:
+    position, base = sheet(4, 480, 0.25)
+    length = 12.0
+    x, number = position[..., 0], 2 * np.pi / length
+    height = 0.1 * np.sin(number * x)
+    slope = 0.1 * number * np.cos(number * x)
+    fine = np.stack([-slope, 0 * x, np.ones_like(x)], axis=2)
+    fine /= np.linalg.norm(fine, axis=2, keepdims=True)
+    found, _ = heights_mm(position, base, fine, np.ones(x.shape, bool), length / times)
+    middle = slice(96, 384)
+    share = (found * height)[:, middle].sum() / (height**2)[:, middle].sum()
+    assert share == pytest.approx(kept, abs=0.02)
 
 
 def test_a_balls_own_normals_have_no_height() -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import operator
 import os
 import re
 import shutil
@@ -15,9 +16,10 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from learning.export.encode import SPECULAR_WHITE
-from learning.export.morphs import ARKIT, arkit_name, arkit_targets
+from learning.export.morphs import ARKIT, arkit_name, arkit_targets, axes_of
 from learning.export.source import read_source
 from learning.render.dielectric import F0
 from lightstage.formats.exr import read_exr
@@ -194,7 +196,13 @@ def test_beside_the_surface_a_picture_shows_the_nearest_skin(person: Path, expor
     beside = ~source.covered
     assert beside.any()
     shown = read_png(exported / "textures" / "base_color.png")
-    assert (shown[beside].max(axis=1) > 0).mean() > 0.99
+    texels = np.flatnonzero(~beside)
+    place = np.array(np.divmod(texels, beside.shape[1])).T
+    for row, column in np.argwhere(beside)[:: max(1, int(beside.sum()) // 50)]:
+        away = np.abs(place - (row, column)).astype(float)
+        near = np.hypot(*away.T)
+        nearest = place[near < near.min() + 1.0]
+        assert (shown[nearest[:, 0], nearest[:, 1]] == shown[row, column]).all(axis=1).any()
 
 
 def test_the_obj_is_the_mesh_as_it_was_and_its_material_names_pictures_that_are_there(
@@ -346,6 +354,34 @@ def test_a_templates_expressions_are_morph_targets_in_metres_and_in_the_meshs_ax
     np.testing.assert_allclose(moved[triangles], expected[mesh.triangles()], atol=1e-6)
 
 
+def test_without_a_pose_the_vertices_tell_a_meshs_axes() -> None:
+    own = load_template(default_template_path())
+    rng = np.random.default_rng(2)
+    for turn in (
+        Rotation.from_euler("yx", [90, 30], degrees=True),
+        Rotation.from_euler("z", -75, degrees=True),
+    ):
+        person = own.mesh.vertices * [1.05, 0.97, 1.1] + rng.normal(0, 1, own.mesh.vertices.shape)
+        turned = own.mesh.with_vertices(turn.inv().apply(person) + np.array([10, 1500, 3]))
+        found = Rotation.from_matrix(axes_of(turned, own.mesh))
+        assert np.degrees((found * turn.inv()).magnitude()) < 3
+        # In the head frame nothing is turned: what remains is the person's shape.
+        assert np.array_equal(axes_of(own.mesh.with_vertices(person), own.mesh), np.eye(3))
+
+
+def test_expressions_are_taken_for_gltf_alone_and_a_note_says_so(
+    person: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ("--format", "maps", "--template", ROOT / "lightstage" / "data" / "template", "--json")
+    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", *words) == 0
+    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert facts["morph_targets"] == []
+    assert any("glTF alone" in note for note in facts["notes"])
+
+
 def test_another_templates_expressions_are_refused(
     person: Path,
     tmp_path: Path,
@@ -356,6 +392,22 @@ def test_another_templates_expressions_are_refused(
     assert run(monkeypatch, "export", person, *words) == 2
     assert "Give the template that the head was registered to" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def value_of(entry: Any, shown: float) -> float:
+    """An input of MaterialX's graph, where pictures show one value."""
+    from pxr import UsdShade
+
+    if not entry.HasConnectedSource():
+        return float(entry.Get())
+    node = UsdShade.Shader(entry.GetConnectedSource()[0].GetPrim())
+    kind = node.GetIdAttr().Get().removeprefix("ND_").removesuffix("_float")
+    if kind == "image":
+        return shown
+    first, second = (value_of(node.GetInput(slot), shown) for slot in ("in1", "in2"))
+    done = {"multiply": operator.mul, "power": operator.pow, "add": operator.add,
+            "subtract": operator.sub, "divide": operator.truediv}  # fmt: skip
+    return float(done[kind](first, second))
 
 
 def test_usd_names_the_inputs_of_both_materials_and_their_pictures(
@@ -382,7 +434,12 @@ def test_usd_names_the_inputs_of_both_materials_and_their_pictures(
     surface = UsdShade.Shader(stage.GetPrimAtPath("/head/skin/mtlx_surface"))
     assert surface.GetIdAttr().Get() == "ND_standard_surface_surfaceshader"
     connected = {i.GetBaseName() for i in surface.GetInputs() if i.HasConnectedSource()}
-    assert {"base_color", "specular", "specular_roughness", "normal"} <= connected
+    assert {"base_color", "specular_IOR", "specular_roughness", "normal"} <= connected
+    # Of each texel the index whose reflectance from in front is the map's; at grazing angles all.
+    assert surface.GetInput("specular").Get() == 1
+    for shown in (0.0, 0.35, 1.0):
+        index = value_of(surface.GetInput("specular_IOR"), shown)
+        assert ((index - 1) / (index + 1)) ** 2 == pytest.approx(SPECULAR_WHITE * shown, abs=1e-7)
 
 
 def test_a_page_holds_mesh_pictures_and_library_and_asks_no_server_for_anything(

@@ -14,12 +14,15 @@ import tifffile
 
 from learning.checkpoint import load_whole_face, shipped_weights
 from learning.photo import command
+from learning.photo import picture as reading
 from learning.photo.command import FitRequest, Marks, _with_colour
 from learning.photo.grey import LUMINANCE, coloured, has_no_colour
 from learning.photo.picture import read_photograph
 from learning.photo.shape_fit import Photograph
 from lightstage.errors import LightstageError
+from lightstage.exif import Exif
 from lightstage.faces.detect import Face
+from lightstage.formats.files import write_json
 from lightstage.formats.template import default_template_path, load_template
 
 SIZE = 70
@@ -79,14 +82,16 @@ def test_printing_inks_and_cut_out_people_are_refused(tmp_path: Path) -> None:
     assert "transparent" in refusal(clear)
     opaque = tmp_path / "opaque.png"
     cv2.imwrite(str(opaque), np.dstack([picture(), np.full((SIZE, SIZE + 10), 255, np.uint8)]))
-    assert read_photograph(opaque)[0].shape == (SIZE, SIZE + 10, 3)
+    assert read_photograph(opaque).rgb_linear.shape == (SIZE, SIZE + 10, 3)
 
 
 def test_sixteen_bits_and_eight_give_the_same_light(tmp_path: Path) -> None:
     deep, plain = tmp_path / "deep.png", tmp_path / "plain.png"
     cv2.imwrite(str(plain), picture())
     cv2.imwrite(str(deep), picture().astype(np.uint16) * 257)
-    np.testing.assert_allclose(read_photograph(deep)[0], read_photograph(plain)[0], atol=1e-5)
+    np.testing.assert_allclose(
+        read_photograph(deep).rgb_linear, read_photograph(plain).rgb_linear, atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif"])
@@ -95,7 +100,9 @@ def test_a_grey_file_is_read_as_three_equal_colours(tmp_path: Path, suffix: str)
     grey = np.full((SIZE, SIZE + 10), 90, np.uint8)
     cv2.imwrite(str(path), grey)
     cv2.imwrite(str(three), np.repeat(grey[..., None], 3, axis=2))
-    np.testing.assert_allclose(read_photograph(path)[0], read_photograph(three)[0], atol=0.01)
+    np.testing.assert_allclose(
+        read_photograph(path).rgb_linear, read_photograph(three).rgb_linear, atol=0.01
+    )
 
 
 def test_black_and_white_gets_the_mean_persons_colour_and_a_note(tmp_path: Path) -> None:
@@ -104,6 +111,9 @@ def test_black_and_white_gets_the_mean_persons_colour_and_a_note(tmp_path: Path)
     assert has_no_colour(grey)
     assert has_no_colour(np.zeros((4, 4, 3)))
     assert not has_no_colour(grey * [1.0, 0.8, 0.7])
+    # In any exposure, such as that of a linear file.
+    assert not has_no_colour(0.01 * grey * [1.0, 0.8, 0.7])
+    assert has_no_colour(0.01 * grey)
     found = coloured(grey, network)
     np.testing.assert_allclose(found @ LUMINANCE, grey[..., 0], rtol=1e-4)
     assert (found[..., 0] > found[..., 2]).all()  # skin is red more than blue
@@ -129,11 +139,11 @@ def test_of_two_faces_the_larger_is_taken_and_a_third_is_none(
 
     monkeypatch.setattr(command, "detect_faces", lambda _: [face(60.0), face(20.0)])
     template = load_template(default_template_path())
-    light = read_photograph(path)[0]
+    file = read_photograph(path)
 
     def points(number: int, notes: list[str]) -> np.ndarray:
         request = FitRequest((path,), default_template_path(), tmp_path / "F", face=number)
-        return Marks(request, template).of(path, light, notes)[0]
+        return Marks(request, template).of(path, file, notes)[0]
 
     notes: list[str] = []
     largest = points(1, notes)
@@ -142,3 +152,53 @@ def test_of_two_faces_the_larger_is_taken_and_a_third_is_none(
     assert sum("faces" in note for note in notes) == 1
     with pytest.raises(LightstageError, match=r"two\.png: .*2 faces.*3 faces \(--face\)"):
         points(3, notes)
+
+
+def stated(tmp_path: Path, names: list[str], points: np.ndarray) -> Marks:
+    """Landmarks of a file, the same for each name."""
+    file = tmp_path / "L.json"
+    content = {"schema": "lightstage.landmarks/1", "scheme": "ibug68"}
+    write_json(file, {**content, "points_px": {name: points.tolist() for name in names}})
+    request = FitRequest((), default_template_path(), tmp_path / "F", landmarks=file)
+    return Marks(request, load_template(default_template_path()))
+
+
+def test_landmarks_of_a_file_go_with_a_photograph_that_is_made_smaller(tmp_path: Path) -> None:
+    path = tmp_path / "wide.png"
+    cv2.imwrite(str(path), np.resize(picture(), (SIZE, 6600, 3)))
+    points = np.random.default_rng(0).uniform(0, [6600, SIZE], (68, 2))
+    file = read_photograph(path)
+    assert file.rgb_linear.shape[1] == 6000
+    found, _ = stated(tmp_path, ["wide.png"], points).of(path, file, [])
+    np.testing.assert_allclose(found, points * 6000 / 6600)
+
+
+def test_two_photographs_of_one_name_do_not_share_landmarks(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).uniform(0, SIZE, (68, 2))
+    marks = stated(tmp_path, ["x"], points)
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        cv2.imwrite(str(tmp_path / folder / "x.png"), picture())
+    first, second = (tmp_path / folder / "x.png" for folder in ("a", "b"))
+    marks.of(first, read_photograph(first), [])
+    with pytest.raises(LightstageError, match=r"one entry for .*Rename one"):
+        marks.of(second, read_photograph(second), [])
+
+
+@pytest.mark.parametrize(
+    ("exif", "share"),
+    [
+        (Exif(focal_mm=50.0, focal_plane_px_per_mm=100.0, longer_px=3600), 50 / 36),
+        (Exif(focal_mm=50.0, focal_plane_px_per_mm=100.0), None),
+        (Exif(focal_35mm_mm=72.0), 2.0),
+        (Exif(focal_mm=50.0), None),
+    ],
+)
+def test_a_focal_length_is_that_of_the_camera_though_a_program_shrank_the_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, exif: Exif, share: float | None
+) -> None:
+    path = tmp_path / "photo.png"
+    cv2.imwrite(str(path), picture())
+    monkeypatch.setattr(reading, "read_exif", lambda _: exif)
+    found = read_photograph(path).focal_px
+    assert found == (None if share is None else pytest.approx(share * (SIZE + 10)))

@@ -15,7 +15,7 @@ from learning.photo import command
 from learning.photo.command import FitRequest, read_all
 from learning.photo.eye_texels import eye_texels, with_eyes
 from learning.photo.eyes import EYES, SKIN, openings, whites_are_seen
-from learning.photo.fit import yaw_deg
+from learning.photo.fit import aside_deg
 from learning.photo.picture import read_photograph
 from learning.photo.unwrap import unwrap
 from learning.render.uv import rasterise
@@ -31,7 +31,7 @@ from tests.learning.photo.scene import Shot, camera_at
 @pytest.fixture(scope="module")
 def light(shot: Shot) -> np.ndarray:
     """(h, w, 3) linear."""
-    return read_photograph(shot.path)[0]
+    return read_photograph(shot.path).rgb_linear
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +67,14 @@ def test_open_eyes_show_white_at_any_exposure_and_hidden_or_closed_ones_none(
     assert whites_are_seen(brightness * light, marks) is True
     assert whites_are_seen(brightness * glasses, marks) is False
     assert whites_are_seen(brightness * lids, marks) is False
+
+
+def test_a_photograph_without_colour_tells_no_white_from_lids(
+    light: np.ndarray, marks: np.ndarray
+) -> None:
+    grey = np.repeat(light.mean(axis=2, keepdims=True), 3, axis=2)
+    assert whites_are_seen(grey, marks) is None
+    assert np.isnan(openings(grey, marks)).all()
 
 
 def test_eyes_that_are_turned_away_or_a_few_pixels_wide_tell_nothing(
@@ -212,7 +220,7 @@ def test_the_templates_eyes_show_the_open_eyes_wherever_the_shape_has_them(
 
 def test_a_camera_beside_the_head_is_told_from_one_in_front() -> None:
     for turn in (-35.0, 0.0, 8.0, 120.0):
-        assert yaw_deg(camera_at(turn)) == pytest.approx(abs(turn), abs=3.0)
+        assert aside_deg(camera_at(turn)) == pytest.approx(abs(turn), abs=3.0)
 
 
 def test_closed_and_hidden_eyes_are_not_filled(

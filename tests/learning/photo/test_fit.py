@@ -168,8 +168,10 @@ def test_relief_becomes_heights_and_a_mesh_and_small_textures_have_none(
 def test_a_photograph_comes_back_to_the_texels_that_it_shows(
     shot: Shot, template: Template, places: Places
 ) -> None:
-    rgb, focal = read_photograph(shot.path, FILM_MM)
-    assert focal == pytest.approx(FOCAL_PX)
+    file = read_photograph(shot.path, FILM_MM)
+    rgb = file.rgb_linear
+    assert file.focal_px == pytest.approx(FOCAL_PX)
+    assert file.scale == 1
     raster = rasterise(shot.mesh, ROWS, ROWS * 2 // 3)
     found = unwrap(rgb, shot.mesh, raster, shot.camera)
     position = raster.interpolate(shot.mesh.vertices)

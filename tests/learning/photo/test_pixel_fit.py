@@ -36,7 +36,7 @@ def network() -> WholeFaceNetwork:
 def photograph(shot: Shot, seed: int = 0, percent: float = 3.0) -> Photograph:
     """A person's photograph, its landmarks moved together and each on its own."""
     rng = np.random.default_rng(seed)
-    rgb, _ = read_photograph(shot.path)
+    rgb = read_photograph(shot.path).rgb_linear
     known = np.isfinite(shot.landmarks_px).all(axis=1)
     size = percent / 100 * 2 * np.prod(shot.landmarks_px[known].std(axis=0)) ** 0.5
     moved = shot.landmarks_px + size * rng.normal(size=shot.landmarks_px.shape)
@@ -48,7 +48,7 @@ def search(
     shot: Shot, template: Template, model: ShapeModel, places: Places, network: WholeFaceNetwork
 ) -> tuple[PixelFit, State]:
     """A search after its first look at a photograph."""
-    rgb, _ = read_photograph(shot.path)
+    rgb = read_photograph(shot.path).rgb_linear
     there = model.at(places.triangles, places.weights)
     problem = Problem(
         there, [Sighting(shot.landmarks_px, WIDTH_PX, HEIGHT_PX, FOCAL_PX)], FitConfig()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
@@ -28,7 +30,7 @@ def network() -> Rcan:
 
 
 def test_a_larger_mesh_leaves_the_wall_behind_the_person_out(shot: Shot, model: ShapeModel) -> None:
-    rgb, _ = read_photograph(shot.path)
+    rgb = read_photograph(shot.path).rgb_linear
     size = (ROWS, ROWS * 2 // 3)
     ones = np.ones((*size, 3), np.float32)
     _, alpha = render_view(ones, np.ones(size, bool), shot.mesh, shot.camera, 0.0)
@@ -57,7 +59,7 @@ def test_a_larger_mesh_leaves_the_wall_behind_the_person_out(shot: Shot, model: 
 
 
 def test_a_collar_leaves_no_line_on_the_neck(shot: Shot, model: ShapeModel) -> None:
-    rgb, _ = read_photograph(shot.path)
+    rgb = read_photograph(shot.path).rgb_linear
     raster = rasterise(shot.mesh, ROWS, ROWS * 2 // 3)
     chin = int(shot.camera.project(shot.mesh.vertices[model.face])[0][:, 1].max())
     neck = unwrap(rgb, shot.mesh, raster, shot.camera).texture
@@ -104,6 +106,18 @@ def test_a_photograph_of_few_pixels_shows_as_much_of_the_face(shot: Shot) -> Non
     for scale in (1 / 8, 1 / 2, 8.0):
         # Most that differs is at the picture's border and beside the nose.
         assert (seen(scale) != usual).sum() < 0.06 * usual.sum()
+    # A small face in a large photograph.
+    width, height = shot.camera.width_px, shot.camera.height_px
+    padded = dataclasses.replace(
+        shot.camera,
+        width_px=9 * width,
+        height_px=9 * height,
+        cx_px=shot.camera.cx_px + 4 * width,
+        cy_px=shot.camera.cy_px + 4 * height,
+    )
+    grey = np.full((padded.height_px, padded.width_px, 3), 0.3, np.float32)
+    found = unwrap(grey, shot.mesh, raster, padded).seen
+    assert (found != usual)[usual].sum() < 0.06 * usual.sum()
 
 
 def test_without_a_wall_all_pixels_are_the_persons(shot: Shot, model: ShapeModel) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 import pytest
 
 from learning.checkpoint import load_whole_face, shipped_weights
+from learning.errors import MapsError
 from learning.infer import Inferred
 from learning.photo import fit
 from learning.photo.config import FitConfig
@@ -17,7 +19,7 @@ from learning.photo.shape_fit import Photograph, Places
 from learning.render.uv import rasterise
 from learning.whole.infer import infer_whole_face
 from lightstage.formats.template import Template
-from tests.learning.photo.scene import FOCAL_PX, Shot
+from tests.learning.photo.scene import FOCAL_PX, SMALL, Shot
 
 
 def test_a_hat_is_left_out_where_no_light_explains_the_photograph(
@@ -32,7 +34,7 @@ def test_a_hat_is_left_out_where_no_light_explains_the_photograph(
     monkeypatch.setattr(fit, "infer_whole_face", unexplained)
     # On a busy machine the search would end before it finds what it does elsewhere.
     monkeypatch.setattr(fit, "FIRST_SECONDS", 60.0)
-    rgb, _ = read_photograph(shot.path)
+    rgb = read_photograph(shot.path).rgb_linear
     brows, _ = shot.camera.project(shot.mesh.vertices[template.landmarks[17:27]])
     brim = int(brows[:, 1].min()) - 20
     rgb[:brim] = 0.008
@@ -51,3 +53,20 @@ def test_a_hat_is_left_out_where_no_light_explains_the_photograph(
     # By the network alone 56 %: the badge and the cloth about it.
     assert found.seen[hat].mean() < 0.35
     assert found.seen[face].mean() > 0.6
+
+
+def test_a_later_photograph_in_hardly_any_light_gives_the_shape_alone(
+    shot: Shot, template: Template, places: Places
+) -> None:
+    rgb = read_photograph(shot.path).rgb_linear
+    good, dark = (
+        Photograph(name, light * rgb, shot.landmarks_px, FOCAL_PX)
+        for name, light in (("good", 1.0), ("dark", 1e-3))
+    )
+    network, _ = load_whole_face(shipped_weights())
+    config = dataclasses.replace(SMALL, rows=192, refine_seconds=0.0)
+    found = fit_head([good, dark], template, places, network, config)
+    assert any("dark gives the shape alone, no texture" in note for note in found.notes)
+    assert set(np.unique(found.source)) == {-1, 0}
+    with pytest.raises(MapsError, match="dark"):
+        fit_head([dark, good], template, places, network, config)
