@@ -21,7 +21,7 @@ from learning.limits import require_within
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
-from learning.photo.eyes import openings, whites_are_seen
+from learning.photo.eyes import openings
 from learning.photo.fit import FittedHead, fit_head
 from learning.photo.grey import coloured, has_no_colour
 from learning.photo.page import write_page
@@ -200,11 +200,6 @@ class Marks:
         else:
             points = self._detected(path, rgb_linear, notes)
         marks = points if len(points) == len(IBUG_PAIRS) else ibug68(points)
-        if whites_are_seen(rgb_linear, marks) is False:
-            notes.append(
-                f"{path.name} does not show the whites of the eyes (closed, in shade or behind "
-                "glasses), which tell how strong the light is: the skin's tone is less certain"
-            )
         return points[self._there], openings(rgb_linear, marks)
 
     def _stated_in(self, file: Path, path: Path) -> np.ndarray:

@@ -1,9 +1,4 @@
-"""Where a photograph shows the whites of the eyes, by which skin's brightness is known.
-
-A dark face in bright light and a light one in dim light give the same skin in a photograph; the
-whites of the eyes differ little between people, and the network reads the light's strength from
-them. Behind sunglasses or closed lids there are none, and the tone is less certain.
-"""
+"""Where a photograph shows the eyes open, by their whites."""
 
 from __future__ import annotations
 
@@ -27,25 +22,6 @@ IRIS = 0.2
 """Its radius, of an eye's width."""
 OUTERMOST = 0.03
 """Share of the white's pixels that its extent leaves out on each side."""
-
-
-def whites_are_seen(rgb_linear: np.ndarray, marks: np.ndarray) -> bool | None:
-    """Whether a face's photograph shows the white of an eye.
-
-    Args:
-        rgb_linear: (h, w, 3).
-        marks: (68, 2) px of iBUG's landmarks, NaN where hidden.
-
-    Returns:
-        None where it cannot be known: both eyes are hidden by the head or too small, or there is
-        no skin of any colour to compare with.
-    """
-    eyes = [marks[each] for each in EYES]
-    large = [eye for eye in eyes if np.isfinite(eye).all() and np.ptp(eye[:, 0]) >= LEAST_PX]
-    skin = _skin(rgb_linear, marks)
-    if not large or skin is None or _saturation(skin) < LEAST_SATURATION:
-        return None
-    return bool(np.isfinite(openings(rgb_linear, marks)).any())
 
 
 def openings(rgb_linear: np.ndarray, marks: np.ndarray) -> np.ndarray:

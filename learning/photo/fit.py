@@ -24,7 +24,7 @@ from learning.photo.eye_texels import eye_texels, with_eyes
 from learning.photo.foreground import foreground
 from learning.photo.several import Joined, View, join
 from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape
-from learning.photo.skin_mask import features, no_skin
+from learning.photo.skin_mask import around_eyes, features, no_skin
 from learning.photo.unwrap import Unwrapped, unwrap, without_slivers
 from learning.relight import lit_texture, shadows_of
 from learning.render.uv import UvRaster, rasterise
@@ -328,6 +328,7 @@ class _Texels:
             unwrap(shown.rgb_linear, self.mesh, self.raster, shown.camera, shown.person),
             features(template, self.raster),
         )
+        self.read = ~around_eyes(template, self.raster)
         self.eyes: np.ndarray | None = None
         openings_px = looked.photograph.eyes_px
         if openings_px is not None and aside_deg(camera) <= MOST_ASIDE_DEG:
@@ -349,7 +350,10 @@ class _Texels:
         largest_misfit: float = LARGEST_MISFIT,
         own: OwnShares = OF_TRUE_SHAPES,
     ) -> Inferred:
-        """Skin and light of the texels that are shown; see `infer_whole_face`."""
+        """Skin and light of the texels that are shown; see `infer_whole_face`.
+
+        The eyes have no say in either.
+        """
         return infer_whole_face(
             network,
             np.where(shown[..., None], texture, 0).astype(np.float32),
@@ -360,7 +364,7 @@ class _Texels:
             mesostructure=mesostructure,
             camera_mm=camera.centre_mm,
             largest_misfit=largest_misfit,
-            network_sees=network_sees,
+            network_sees=self.read if network_sees is None else self.read & network_sees,
             own=own,
         )
 

@@ -14,6 +14,8 @@ NOT_SKIN = 0.9
 which a place shows no skin: hair, glasses, a hand's shadow. Freckles and lips stay below .5."""
 SPREAD = 1 / 64
 """Of such a place around it, of the texture's rows."""
+EYES_SPREAD = 1 / 96
+"""Around a template's eyes, of the texture's rows."""
 FEATURES = ("eyes", "lips")
 """Regions of a template that may differ from the mean person as they please."""
 BROWS = slice(17, 27)
@@ -33,6 +35,18 @@ def features(template: Template, raster: UvRaster) -> np.ndarray:
     for place in brows:
         chosen |= np.linalg.norm(vertices - place, axis=1) < BROW_MM
     return np.asarray(raster.interpolate(chosen[:, None].astype(float))[..., 0] > 0)
+
+
+def around_eyes(template: Template, raster: UvRaster) -> np.ndarray:
+    """(rows, columns) bool, a template's eyes and what is within `EYES_SPREAD` of them.
+
+    The network reads the light's strength from the whites of the eyes. A fitted shape has them some
+    millimetres beside the person's, and highlights lie on them: without them the network is nearer.
+    """
+    chosen = np.zeros((len(template.mesh.vertices), 1))
+    chosen[template.regions.get("eyes", np.zeros(0, int))] = 1
+    eyes = raster.interpolate(chosen)[..., 0] > 0
+    return _spread(eyes, EYES_SPREAD)
 
 
 def no_skin(
@@ -63,6 +77,11 @@ def no_skin(
         off = np.where(seen, part - np.median(part[seen]), 0).astype(np.float32)
         far |= np.abs(cv2.GaussianBlur(off, (0, 0), sigma) / around) > most
     far &= seen & ~keep
-    reach = max(1, round(SPREAD * rows))
+    return np.asarray(_spread(far, SPREAD) & ~keep)
+
+
+def _spread(mask: np.ndarray, share: float) -> np.ndarray:
+    """A mask and what is around it, within so much of its rows."""
+    reach = max(1, round(share * len(mask)))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    return np.asarray((cv2.dilate(far.astype(np.uint8), disc) > 0) & ~keep)
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), disc) > 0)
