@@ -144,8 +144,7 @@ def _kept(
     open_air[used[seen]] = True
     skin &= open_air[faces].any(axis=1)
     piece = connected(_edges(faces[skin]), len(height))
-    largest = np.bincount(piece[marks]).argmax()
-    skin &= piece[faces[:, 0]] == largest
+    skin &= piece[faces[:, 0]] == np.bincount(piece[marks]).argmax()
     on = np.isin(marks, faces[skin])
     if not on.all():
         raise FormatError(

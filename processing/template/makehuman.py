@@ -64,7 +64,7 @@ class MakeHumanModel:
         people: (6, V, 3) float32, each of the six minus their mean.
         sliders: (k, V, 3) float32 offsets at a slider's end; of those with two ends, half the way
             from the one to the other.
-        slider_names: k names, without the word of the end.
+        slider_names: k names, such as ``eye-scale-decr-incr``.
         expression: (e, V, 3) float32 offsets at full strength, the mean over three groups.
         expression_names: e names, MakeHuman's.
     """
@@ -318,15 +318,13 @@ def slider_of(name: str) -> tuple[str, float]:
     """A target's slider, and the end at which it is: -1 or 1.
 
     The targets of the left and the right side, and the two ends, belong to one slider:
-    ``l-eye-scale-decr`` and ``r-eye-scale-incr`` to ``eye-scale``.
+    ``l-eye-scale-decr`` and ``r-eye-scale-incr`` to ``eye-scale-decr-incr``.
     """
     whole = name[2:] if name.startswith(("l-", "r-")) else name
     stem, _, end = whole.rpartition("-")
-    for low, high in ENDS:
-        if end in (low, high):
-            # Ears have two sliders of one stem; one's ends are pointed and triangle.
-            stem = f"{stem}-{high}" if high in ("triangle", "square") else stem
-            return stem, -1.0 if end == low else 1.0
+    for ends in ENDS:
+        if end in ends:
+            return "-".join((stem, *ends)), -1.0 if end == ends[0] else 1.0
     return whole, 1.0
 
 
