@@ -1,4 +1,4 @@
-"""MakeHuman's base mesh as a template: its head and eyes, one UV tile, the head frame, its modes."""
+"""MakeHuman's base mesh as a template: head and eyes, one UV tile, the head frame, its modes."""
 
 from __future__ import annotations
 

@@ -36,7 +36,9 @@ PEOPLE = tuple(
 SLIDER_FOLDERS = (
     "head", "forehead", "eyebrows", "eyes", "nose", "mouth", "chin", "cheek", "ears", "neck",
 )  # fmt: skip
-EXPRESSION_FOLDERS = tuple(f"expression/units/{group}" for group in ("african", "asian", "caucasian"))
+EXPRESSION_FOLDERS = tuple(
+    f"expression/units/{group}" for group in ("african", "asian", "caucasian")
+)
 ENDINGS = (".target.gz", ".target")
 RULER = "measure-"
 """Such targets repeat others, scaled for MakeHuman's rulers."""
@@ -82,7 +84,10 @@ class MakeHumanModel:
 class _Files(Protocol):
     """Files of a folder, or of an archive."""
 
-    root: Path
+    @property
+    def root(self) -> Path:
+        """What errors name."""
+        ...
 
     def names(self, folder: str) -> list[str]:
         """Names of the files in a folder, sorted; none where it is missing."""
@@ -174,10 +179,10 @@ def _opened(path: Path) -> Iterator[_Files]:
             path, found=str(error)[:100], expected="a folder or a zip file", hint=HINT
         ) from None
     with archive:
-        found = sorted((n for n in archive.namelist() if f"/{n}".endswith(f"/{BASE}")), key=len)
-        if not found:
+        bases = sorted((n for n in archive.namelist() if f"/{n}".endswith(f"/{BASE}")), key=len)
+        if not bases:
             raise FormatError(path, found=f"no {BASE}", expected="MakeHuman's data", hint=HINT)
-        yield _Archive(path, archive, found[0].removesuffix(BASE))
+        yield _Archive(path, archive, bases[0].removesuffix(BASE))
 
 
 def _damaged(where: Path, error: Exception) -> FormatError:
@@ -311,7 +316,7 @@ def _people(files: _Files) -> tuple[np.ndarray, np.ndarray]:
             offset += _target(files, listed[name])
         offsets.append(offset)
     mean = np.mean(offsets, axis=0)
-    return mean, np.float32(offsets - mean)
+    return mean, (np.stack(offsets) - mean).astype(np.float32)
 
 
 def slider_of(name: str) -> tuple[str, float]:
@@ -341,7 +346,7 @@ def _sliders(files: _Files) -> tuple[np.ndarray, tuple[str, ...]]:
             sums[slider] += end * _target(files, path)
             ends.setdefault(slider, set()).add(end)
     offsets = [offset / len(ends[name]) for name, offset in sums.items()]
-    return np.float32(offsets), tuple(sums)
+    return np.stack(offsets).astype(np.float32), tuple(sums)
 
 
 def _expressions(files: _Files) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -359,4 +364,4 @@ def _expressions(files: _Files) -> tuple[np.ndarray, tuple[str, ...]]:
             expected="MakeHuman's expressions",
         )
     offsets = [np.mean([_target(files, each[name]) for each in listed], axis=0) for name in names]
-    return np.float32(offsets), tuple(names)
+    return np.stack(offsets).astype(np.float32), tuple(names)
