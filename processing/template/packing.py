@@ -18,8 +18,10 @@ ROWS, COLUMNS = 768, 512
 """Of the grid in which room is searched for."""
 GAP = 2
 """Cells around a part that stay free: 16 texels at 6144 rows, the atlas's gutter."""
+Tile = tuple[float, float, float, float]
+"""Scale of u and v, and what is added to them."""
 UPPER, LOWER = (1.0, 2 / 3, 0.0, 1 / 3), (1.0, 1 / 3, 0.0, 0.0)
-"""Scale of u and v, and what is added to them, of the face's tile and of the one behind it."""
+"""Of the face's tile and of the one behind it."""
 STEP = 0.93
 """Parts that find no room are made so much smaller until they do."""
 SMALLEST = 0.02
@@ -51,6 +53,7 @@ def packed(
     area_mm2: np.ndarray,
     where: Path,
     names: list[str],
+    tiles: tuple[Tile, Tile] = (UPPER, LOWER),
 ) -> np.ndarray:
     """UV of all parts in one tile.
 
@@ -61,6 +64,7 @@ def packed(
         area_mm2: (parts,) of each part's surface, by its number: how large its tile should be.
         where: the mesh's file, for errors.
         names: of the parts.
+        tiles: where the tiles of the parts 0 and 1 go.
 
     Returns:
         (k, 2) in 0..1; rows that no triangle uses are 0.
@@ -77,7 +81,7 @@ def packed(
             continue
         local = uvs[used] - tile_of(uvs[used], where, name)
         if number < 2:
-            su, sv, du, dv = UPPER if number == 0 else LOWER
+            su, sv, du, dv = tiles[number]
             out[used] = local * [su, sv] + [du, dv]
         else:
             low, high = local.min(axis=0), local.max(axis=0)

@@ -39,6 +39,7 @@ RIGHT: dict[str, dict[str, str]] = {
     "processing register-mesh": {"mesh": "mesh", "--landmarks": "points", "--out": NEW},
     "processing template import-ict": {"clone": "session", "--out": NEW},
     "processing template import-gnm": {"model": "session", "--out": NEW},
+    "processing template import-makehuman": {"data": "session", "--out": NEW},
     "processing template import-obj": {"mesh": "mesh", "--landmarks": "points", "--out": NEW},
     "processing template check": {"template": "template"},
     "processing template transfer": {
