@@ -20,7 +20,7 @@ from learning.experiments.drive import run_all
 from learning.experiments.held_out import FIGURES
 from learning.experiments.people import Halves, halves_of, of_variant, store_of, subject_of
 from learning.experiments.variants import EXPERIMENTS, STEPS, TIME, Variant, training_of
-from learning.experiments.work import DONE, STOPPED, Order, one_run
+from learning.experiments.work import DIVERGED, DONE, STOPPED, Order, one_run
 from learning.patch_config import TrainConfig
 from lightstage.commands import quiet
 from lightstage.errors import ConfigError, LightstageError, MemoryLimitError
@@ -348,6 +348,39 @@ def test_a_refinement_waits_for_the_run_that_it_refines(store_path: Path, tmp_pa
     names: list[str] = []
     run_all(orders, 1, None, lambda _, figures: names.append(figures["name"]), answered)
     assert names == ["modern-steps-seed0", "modern-refined-steps-seed0"]
+
+
+@pytest.mark.parametrize("when", ["in training", "in its answers"])
+def test_a_refinement_of_a_training_that_diverged_has_diverged_too(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, when: str
+) -> None:
+    if when == "in training":
+        train = work.train
+
+        def diverging(store: object, out: Path, *more: object, **named: object) -> None:
+            train(store, out, *more, **named)  # type: ignore[arg-type]
+            raise TrainingError(out, field="step 3", found="losses that are not finite")
+
+        monkeypatch.setattr(work, "train", diverging)
+        source = one_run(order_of(store_path, tmp_path, "modern"))
+        monkeypatch.undo()
+    else:
+        source = one_run(order_of(store_path, tmp_path, "modern"))
+        path = order_of(store_path, tmp_path, "modern").folder / work.FIGURES_FILE
+        source |= {"state": DIVERGED, "said": "figures that are not finite"}
+        path.write_text(json.dumps(source))
+    assert source["state"] == DIVERGED
+    refined = one_run(order_of(store_path, tmp_path, "modern-refined"))
+    assert refined["state"] == DIVERGED
+    assert refined["said"].startswith("modern: ")
+    assert "people" not in refined
+
+
+def test_a_refinement_without_the_run_that_it_refines_names_it(
+    store_path: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(TrainingError, match="Name modern in --only too"):
+        one_run(order_of(store_path, tmp_path, "modern-refined"))
 
 
 def test_runs_that_fail_are_named_once_the_others_are_done(
