@@ -189,7 +189,9 @@ def _run(order: Order) -> dict[str, Any]:
     }
     write_json(order.folder / ABOUT, about)
     figures = {**about, "schema": FIGURES_SCHEMA, "state": DONE}
-    hint = "Set a smaller batch or patch_px by --config, or fewer --jobs."
+    small = "Set a smaller batch or patch_px by --config, or fewer --jobs."
+    full = "Use a GPU of more memory, fewer --jobs, or another --size."
+    hint = full if order.config.published else small
     with memory_of(device, order.folder, hint):
         if order.variant.refines:
             figures |= _of_source(order)
