@@ -212,7 +212,7 @@ def agreement(albedos: list[np.ndarray]) -> list[float]:
 
 def _known(albedo: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """(rows, columns) bool at another size: texels that no texel without skin is part of."""
-    return _resized((albedo > 0).all(axis=2), size) > WHOLE
+    return _resized(np.asarray((albedo > 0).all(axis=2)), size) > WHOLE
 
 
 def others_cosine(pairs: list[Pair]) -> list[float]:
