@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parents[1]
 LIST = Path(__file__).with_name("slow.txt")
-SLOW_S = 3.0
+SLOW_S = 2.0
 """All tests of a file together."""
 
 

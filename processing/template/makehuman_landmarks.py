@@ -1,4 +1,4 @@
-"""Where the 68 iBUG landmarks [Sagonas2016] are on MakeHuman's base mesh hm08 [MakeHuman].
+"""Where the 68 iBUG landmarks [Sagonas2016] are on MakeHuman's base mesh hm08 [MakeHuman2020].
 
 The project's own face detector found them on pictures of the mean head; they were checked and
 corrected on pictures of the mesh. Left and right ones are mirror images: hm08 is symmetric.
