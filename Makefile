@@ -30,7 +30,7 @@ test: $(READY) ## all tests
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --durations 8
 
 test-fast: export OMP_NUM_THREADS := 1
-test-fast: $(READY) ## the tests of all files but the slow ones (tests/slow.txt): six minutes
+test-fast: $(READY) ## the tests of all files but the slow ones (tests/slow.txt): three minutes
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow"
 
 check: $(READY) ## lint, types, import arrows, the firmware's warnings
