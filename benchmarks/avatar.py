@@ -142,7 +142,8 @@ def write_people(title: str, people: list[Who], rows: int) -> None:
         "1.9 degrees of normals in `make demo`.",
     )
     found_deg, true_deg = ([each.ita_deg[k] for _, each in scores] for k in (0, 1))
-    tones = by_tone(true_deg, found_deg)
+    off_deg = [abs(found - true) for found, true in zip(found_deg, true_deg, strict=True)]
+    tones = by_tone(true_deg, off_deg)
     squares: dict[str, list[float]] = {}
     for _, each in scores:
         squares.setdefault(tone_of(each.ita_deg[1]), []).append(each.albedo[AVATAR])

@@ -134,7 +134,8 @@ def evaluate(
         list[Path],
         typer.Option(
             help="Processed folder with the captured maps; once for each inferred one, in order, "
-            "or once for all: these are then of one person, and how far they agree is measured."
+            "or once for all. Those with the same truth are of one person, who counts once, and "
+            "how far they agree is measured."
         ),
     ],
     data: Annotated[
@@ -163,7 +164,10 @@ def evaluate(
     ),
     as_json: bool = JsonFlag,
 ) -> None:
-    """Measure inferred maps against captured ones, with intervals over people."""
+    """Measure inferred maps against captured ones, with intervals over people.
+
+    With one person of several photographs intervals are over photographs.
+    """
     from learning.evaluation.command import evaluate_command
     from learning.evaluation.recogniser import RecogniserRequest
 
@@ -184,8 +188,12 @@ def evaluate(
     ):
         facts = evaluate_command(tuple(inferred), tuple(truth), data, out, progress, recognise)
     figures = facts["figures"]
+    more = facts["photographs"] > facts["people"]
+    photographs = f", {counted(facts['photographs'], 'photograph')}" if more else ""
+    over = f" (intervals {facts['intervals']})" if more and facts["people"] == 1 else ""
     finish(
-        f"{counted(facts['people'], 'person', 'people')}, {facts['data']}: albedo "
+        f"{counted(facts['people'], 'person', 'people')}{photographs}{over}, {facts['data']}: "
+        "albedo "
         f"{figures['albedo_psnr_db']['mean']:.1f} dB "
         f"({figures['albedo_relative_psnr_db']['mean']:.1f} relative), "
         + (

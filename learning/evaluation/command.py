@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,20 +55,25 @@ NEAREST_MM = 1000.0
 AMBIENT = 0.08
 NOT_MEASURED = "not measured"
 LABELS = ("captured", "simulated")
+OVER_PEOPLE, OVER_PHOTOGRAPHS = "over people", "over photographs of one person"
+WHOLE = 0.999
+"""Share of skin of a texel made of smaller ones from which on it is skin alone."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Person:
-    """One person's figures.
+class Pair:
+    """Figures of one inferred folder beside its truth.
 
     Attributes:
         name: the inferred folder.
+        person: folder of the true maps, resolved: one person's photographs have the same.
         figures: by name.
         ita_deg: typology angle, (found, true).
         faces: (2, d) embeddings of the inferred and of the true head; None without a recogniser.
     """
 
     name: str
+    person: Path
     figures: dict[str, float]
     ita_deg: tuple[float, float]
     faces: np.ndarray | None
@@ -85,8 +91,8 @@ def evaluate_command(
 
     Args:
         inferred: folders of maps, such as `infer`, `fit` and `avatar` write.
-        truth: processed folders or their atlases, one for each, or one for all of them: then the
-            folders are of one person, and how far they agree is measured too.
+        truth: processed folders or their atlases, one for each, or one for all of them. Folders
+            with the same truth are of one person, who counts once; how far they agree is measured.
         label: whose truth it is, of `LABELS`.
         out: JSON to write; a table of the same name with .md is written beside it.
         progress: of the people.
@@ -106,27 +112,33 @@ def evaluate_command(
         )
     recogniser = None if recognise is None else Recogniser(recognise)
     true_of = truth * len(inferred) if len(truth) == 1 else truth
-    people, albedos = [], []
+    pairs: list[Pair] = []
+    albedos: dict[Path, list[np.ndarray]] = {}
     for done, (mine, theirs) in enumerate(zip(inferred, true_of, strict=True)):
-        person, albedo = _measured(mine, theirs, recogniser)
-        people.append(person)
-        albedos.append(albedo)
+        pair, albedo = _measured(mine, theirs, recogniser)
+        pairs.append(pair)
+        albedos.setdefault(pair.person, []).append(albedo)
         progress(done + 1, len(inferred))
-    one = len(truth) == 1 and len(inferred) > 1
-    names = sorted({name for person in people for name in person.figures})
-    means = {n: interval([p.figures[n] for p in people if n in p.figures]) for n in names}
-    if one:
-        means["agreement_db"] = agreement(albedos)
-    elif recogniser is not None and len(people) > 1:
-        means["identity_others_cosine"] = interval(others_cosine(people))
-    tones = by_tone([p.ita_deg[1] for p in people], [p.ita_deg[0] for p in people])
+    one = len(albedos) == 1
+    names = sorted({name for pair in pairs for name in pair.figures})
+    means = {name: _over_people(pairs, [p.figures.get(name) for p in pairs]) for name in names}
+    if len(albedos) < len(pairs):
+        each = [agreement(found) for found in albedos.values()]
+        means["agreement_db"] = interval(each[0] if one else [_mean(values) for values in each])
+    if recogniser is not None and not one:
+        means["identity_others_cosine"] = _over_people(pairs, list(others_cosine(pairs)))
+    true_deg = _by_person(pairs, [pair.ita_deg[1] for pair in pairs])
+    off_deg = _by_person(pairs, [pair.figures["ita_error_deg"] for pair in pairs])
+    tones = by_tone([*map(_mean, true_deg)], [*map(_mean, off_deg)])
     facts = {
         "data": label,
-        "people": 1 if one else len(people),
+        "people": len(albedos),
+        "photographs": len(pairs),
+        "intervals": OVER_PHOTOGRAPHS if one and len(pairs) > 1 else OVER_PEOPLE,
         "figures": {name: dataclasses.asdict(value) for name, value in means.items()},
         "ita_error_deg": {tone: error for tone, (_, error) in tones.items()},
         "ita_worst_over_best": spread(tones),
-        "each": [{"name": p.name, **p.figures} for p in people],
+        "each": [{"name": p.name, **p.figures} for p in pairs],
         "identity": NOT_MEASURED if recognise is None else f"by {recognise.path.name}",
         "seconds": time.monotonic() - began,
     }
@@ -136,11 +148,37 @@ def evaluate_command(
     return facts
 
 
+def _by_person(pairs: list[Pair], values: Sequence[float | None]) -> list[list[float]]:
+    """Values of the pairs, by the person of whom they are; None is left out."""
+    found: dict[Path, list[float]] = {pair.person: [] for pair in pairs}
+    for pair, value in zip(pairs, values, strict=True):
+        if value is not None:
+            found[pair.person].append(value)
+    return list(found.values())
+
+
+def _over_people(pairs: list[Pair], values: Sequence[float | None]) -> Interval:
+    """Mean and interval over people, each with the mean of their photographs.
+
+    With one person they are over photographs.
+    """
+    each = _by_person(pairs, values)
+    return interval(each[0] if len(each) == 1 else [_mean(own) for own in each])
+
+
+def _mean(values: list[float]) -> float:
+    """NaN where there is none."""
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.mean(known)) if known else float("nan")
+
+
 def table(facts: dict[str, Any], means: dict[str, Interval]) -> str:
     """The figures as a Markdown table."""
+    more = facts["photographs"] > facts["people"]
+    photographs = f", {counted(facts['photographs'], 'photograph')}" if more else ""
     lines = [
-        f"{facts['data']} truth, {counted(facts['people'], 'person', 'people')}; intervals of 95 % "
-        "by bootstrap over people.",
+        f"{facts['data']} truth, {counted(facts['people'], 'person', 'people')}{photographs}; "
+        f"intervals of 95 % by bootstrap {facts['intervals']}.",
         "",
         "| figure | mean | 95 % |",
         "|---|---|---|",
@@ -154,35 +192,43 @@ def table(facts: dict[str, Any], means: dict[str, Interval]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def agreement(albedos: list[np.ndarray]) -> Interval:
-    """PSNR in dB between one person's albedos of several photographs, over pairs.
+def agreement(albedos: list[np.ndarray]) -> list[float]:
+    """PSNR in dB between one person's albedos of several photographs, pair by pair.
 
     Args:
-        albedos: (rows, columns, 3) linear each, 0 where nothing was found; compared as sRGB.
+        albedos: (rows, columns, 3) linear each, 0 where nothing was found; compared as sRGB, at the
+            size of the smaller one.
     """
     values = []
     for index, one in enumerate(albedos):
         for other in albedos[:index]:
-            if one.shape != other.shape:
-                continue
-            known = (one > 0).all(axis=2) & (other > 0).all(axis=2)
+            size = min(one.shape[:2], other.shape[:2])
+            a, b = _resized(one, size), _resized(other, size)
+            known = _known(one, size) & _known(other, size)
             if known.any():
-                values.append(psnr_db(srgb_from_linear(one[known]), srgb_from_linear(other[known])))
-    return interval(values)
+                values.append(psnr_db(srgb_from_linear(a[known]), srgb_from_linear(b[known])))
+    return values
 
 
-def others_cosine(people: list[Person]) -> list[float]:
-    """Of each person, the mean cosine between their true head and the true heads of others."""
-    true = np.array([person.faces[1] for person in people if person.faces is not None])
-    cosines = true @ true.T
-    others = len(true) - 1
-    return [float((row.sum() - row[place]) / others) for place, row in enumerate(cosines)]
+def _known(albedo: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(rows, columns) bool at another size: texels that no texel without skin is part of."""
+    return _resized(np.asarray((albedo > 0).all(axis=2)), size) > WHOLE
+
+
+def others_cosine(pairs: list[Pair]) -> list[float]:
+    """Of each pair, the mean cosine between its true head and the true heads of other people."""
+    true = np.array([pair.faces[1] for pair in pairs if pair.faces is not None])
+    whose = [pair.person for pair in pairs]
+    return [
+        float(np.mean([row[k] for k, person in enumerate(whose) if person != own]))
+        for own, row in zip(whose, true @ true.T, strict=True)
+    ]
 
 
 def _measured(
     inferred: Path, truth: Path, recogniser: Recogniser | None
-) -> tuple[Person, np.ndarray]:
-    """One person's figures, and the found albedo."""
+) -> tuple[Pair, np.ndarray]:
+    """One pair's figures, and the found albedo."""
     mine, theirs = _maps(inferred), _maps(truth)
     pose = _pose(truth)
     theirs = _turned(theirs, pose)
@@ -219,7 +265,9 @@ def _measured(
         figures["identity_cosine"] = float(faces[0] @ faces[1])
     found_deg, true_deg = ita_deg(albedo[skin]), ita_deg(theirs["diffuse_albedo"][skin])
     figures["ita_error_deg"] = abs(found_deg - true_deg)
-    return Person(str(inferred), figures, (found_deg, true_deg), faces), albedo * skin[..., None]
+    person = maps_folder(truth).resolve()
+    pair = Pair(str(inferred), person, figures, (found_deg, true_deg), faces)
+    return pair, albedo * skin[..., None]
 
 
 def _relit(

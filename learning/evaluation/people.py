@@ -7,11 +7,16 @@ import numpy as np
 from processing.tones import ITA_NAMES, tone_of
 
 
-def by_tone(true_deg: list[float], found_deg: list[float]) -> dict[str, tuple[int, float]]:
-    """People and mean absolute error of the typology angle, degrees, by the true tone."""
+def by_tone(true_deg: list[float], error_deg: list[float]) -> dict[str, tuple[int, float]]:
+    """People and their mean error of the typology angle, degrees, by the true tone.
+
+    Args:
+        true_deg: each person's angle.
+        error_deg: each person's absolute error.
+    """
     groups: dict[str, list[float]] = {}
-    for true, found in zip(true_deg, found_deg, strict=True):
-        groups.setdefault(tone_of(true), []).append(abs(found - true))
+    for true, error in zip(true_deg, error_deg, strict=True):
+        groups.setdefault(tone_of(true), []).append(error)
     return {
         name: (len(groups[name]), float(np.mean(groups[name])))
         for name in ITA_NAMES

@@ -15,8 +15,8 @@ class ExperimentConfig:
 
     Attributes:
         published: whether networks, losses and rates are those of the presets `paper` and
-            `avatarme` in place of `demo` and `avatarme-small`; then `epochs` holds, and `steps`,
-            `width` and the sizes of patches and discriminators do not.
+            `avatarme` in place of `demo` and `avatarme-small`; then `epochs` holds in place of
+            `steps`, of which only counts whether it is 0, and values of `SMALL_ONLY` are refused.
         steps: number of steps of each training of equal steps; 0 for none of these.
         seconds: seconds of the steps of each training of equal time; 0 for none of these.
         epochs: number of epochs, in place of `steps`, with `published`.
@@ -26,7 +26,8 @@ class ExperimentConfig:
         held_out_names: names of the people held out, in place of `held_out`.
         train_names: names of the people trained on, in place of all others.
         environments: number of lights in which the people held out are measured, from the first of
-            `learning.experiments.lights.NAMES` on.
+            `learning.experiments.lights.NAMES` on; of 2 to 6 the last one is the lamp from the
+            right, `side-right`, in place of the name that is there.
         patch_px: side of a patch; the blur of the texture's contrast grows with it.
         width: channels of the generators.
         discriminator_width: channels of the discriminators.
@@ -84,6 +85,16 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "save_seconds": (0, 1e9),
 }
 """Least and largest value of each number."""
+SMALL_ONLY = (
+    "patch_px",
+    "width",
+    "discriminator_width",
+    "batch",
+    "whole_width",
+    "whole_batch",
+    "shadow_sets",
+)
+"""Sizes that the published networks and `modern` have of their presets where `published` is set."""
 SIZES: dict[str, dict[str, Any]] = {
     "tiny": {
         "steps": 2,
@@ -123,12 +134,22 @@ def sized(size: str, overrides: dict[str, Any], where: str) -> ExperimentConfig:
         where: what to name in errors.
 
     Raises:
-        ConfigError: an unknown size or key, a value out of bounds, or no training at all.
+        ConfigError: an unknown size or key, a value out of bounds, a size of small networks with
+            the published ones, or no training at all.
     """
     if size not in SIZES:
         raise ConfigError("--size", found=repr(size), expected=f"one of {', '.join(SIZES)}")
     config = make_config(ExperimentConfig, {**SIZES[size], **overrides}, where)
     require_bounds(config, where, BOUNDS)
+    unused = [name for name in SMALL_ONLY if name in overrides]
+    if config.published and unused:
+        raise ConfigError(
+            where,
+            field=", ".join(unused),
+            found="a value",
+            expected="none with published networks, which have sizes of their own",
+            hint="Leave it out, or choose another --size.",
+        )
     if not config.steps and not config.seconds:
         raise ConfigError(
             where,

@@ -15,7 +15,7 @@ from processing.dataset import Scan, Store
 from processing.tones import ita_deg
 
 QUARTER = 0.25
-"""Share of the people that a setting leaves out by their tone."""
+"""Share of the people that a setting leaves out, by their tone or by chance."""
 NAMED = 6
 """Names that a message gives, at most."""
 TRAINED, HELD_OUT = "a", "b"
@@ -65,16 +65,19 @@ def of_variant(
 ) -> tuple[str, ...]:
     """Who of the people trained on one setting takes.
 
-    A smaller number of people is drawn by the seed, so that the differences between seeds include
-    those between choices.
+    A smaller number of people is drawn by the seed, and so are the three quarters of all tones, so
+    that the differences between seeds include those between choices.
 
     Raises:
         TrainingError: fewer people than the setting is about.
     """
     chosen = halves.trained
     if variant.without:
-        tones = tones_of(store, chosen)
-        ordered = sorted(chosen, key=lambda name: tones[name])
+        if variant.without == "any":
+            ordered = [str(name) for name in np.random.default_rng([seed, 10]).permutation(chosen)]
+        else:
+            tones = tones_of(store, chosen)
+            ordered = sorted(chosen, key=lambda name: tones[name])
         count = max(1, round(QUARTER * len(ordered)))
         left_out = ordered[-count:] if variant.without == "lightest" else ordered[:count]
         chosen = tuple(name for name in chosen if name not in left_out)

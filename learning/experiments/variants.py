@@ -10,7 +10,7 @@ from learning.config import TrainingConfig
 from learning.experiments.config import ExperimentConfig
 from learning.presets import preset
 
-Without = Literal["", "lightest", "darkest"]
+Without = Literal["", "any", "lightest", "darkest"]
 STEPS, TIME = "steps", "time"
 """What the trainings that are compared have in common."""
 DETAIL_SHARE = 24 / 128
@@ -27,10 +27,10 @@ class Variant:
         preset: that is trained.
         overrides: of the preset's values, nested.
         paper: mean squared error that the paper has for this step of its ladder [Lattas2021].
-        place: along the axis of the experiment's curve; None where the setting is a word.
         refines: the setting whose network's answer is refined: nothing is trained.
         people: trained on, at most; 0 as the experiment has it.
-        without: the quarter of the people, by tone, that is not trained on.
+        without: the quarter of the people that is not trained on: by tone, or drawn by the seed.
+        against: the setting that it is compared with; the one before it where empty.
     """
 
     name: str
@@ -38,10 +38,10 @@ class Variant:
     preset: str
     overrides: dict[str, Any]
     paper: float | None = None
-    place: float | None = None
     refines: str = ""
     people: int = 0
     without: Without = ""
+    against: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Experiment:
     Attributes:
         title: of its report.
         across: name of the curve's axis; nothing where there is no curve.
-        variants: in order; each is compared with the one before it.
+        variants: in order; each is compared with the one before it, or the one that it names.
         budgets: of `STEPS` and `TIME`, those of the experiment where both are possible.
     """
 
@@ -61,6 +61,8 @@ class Experiment:
     budgets: tuple[str, ...] = (STEPS, TIME)
 
 
+CONTROL = "three-quarters"
+"""As many people as those settings have that leave a quarter out by tone."""
 LAST_PUBLISHED = "occlusion"
 """The last step of the published ladder."""
 MODERN, REFINED = "modern", "modern-refined"
@@ -98,7 +100,6 @@ def weights(config: ExperimentConfig) -> Experiment:
                 f"lambda-{value:g}",
                 f"{value:g}",
                 _drawn({}, 3, {"render_weight": value}) if value else _plain({}),
-                place=value,
             )
             for value in (0.0, 0.1, 0.3, 1.0, 3.0)
         ),
@@ -113,8 +114,7 @@ def environments(config: ExperimentConfig) -> Experiment:
         "Environments of the rendering loss",
         "environments of the rendering loss, n_L",
         tuple(
-            _single(config, f"n-{count}", str(count), _drawn({}, count, lit), place=count)
-            for count in (1, 2, 3)
+            _single(config, f"n-{count}", str(count), _drawn({}, count, lit)) for count in (1, 2, 3)
         ),
     )
 
@@ -131,7 +131,7 @@ def scenes(config: ExperimentConfig) -> Experiment:
         }
         name = f"{position}/{camera}/{intensity}"
         overrides = {**_drawn({}, 3, lit), "lights": spread}
-        found.append(_single(config, f"scene-{position}", name, overrides, place=position))
+        found.append(_single(config, f"scene-{position}", name, overrides))
     return Experiment(
         "Variation of the scene",
         "lamps' places, % of their distance",
@@ -184,16 +184,21 @@ def seeds(config: ExperimentConfig) -> Experiment:
 
 
 def people(config: ExperimentConfig) -> Experiment:
-    """How many people are trained on, and whose tones are not among them."""
+    """How many people are trained on, and whose tones are not among them.
+
+    Fewer people differ in more than their tones, so that those without the lightest or the darkest
+    quarter are compared with as many of all tones.
+    """
     lit = {"render_weight": config.render_weight}
-    found = [
-        _single(config, f"people-{count}", str(count), _drawn({}, 3, lit), place=count)
-        for count in (8, 32, 128)
-    ]
-    found = [dataclasses.replace(one, people=int(one.place or 0)) for one in found]
+    found: list[Variant] = []
+    for count in (8, 32, 128):
+        one = _single(config, f"people-{count}", str(count), _drawn({}, 3, lit))
+        found.append(dataclasses.replace(one, people=count))
+    control = _single(config, CONTROL, "three quarters of all tones", _drawn({}, 3, lit))
+    found.append(dataclasses.replace(control, without="any"))
     for without in ("lightest", "darkest"):
         one = _single(config, f"no-{without}", f"without the {without}", _drawn({}, 3, lit))
-        found.append(dataclasses.replace(one, without=without))
+        found.append(dataclasses.replace(one, without=without, against=CONTROL))
     return Experiment("People trained on", "people", tuple(found), (STEPS,))
 
 
@@ -248,10 +253,9 @@ def _single(
     title: str,
     overrides: dict[str, Any],
     paper: float | None = None,
-    place: float | None = None,
 ) -> Variant:
     chosen = "paper" if config.published else "demo"
-    return Variant(name, title, chosen, _patches(config, overrides), paper, place)
+    return Variant(name, title, chosen, _patches(config, overrides), paper)
 
 
 def _four(

@@ -189,9 +189,13 @@ def _run(order: Order) -> dict[str, Any]:
     }
     write_json(order.folder / ABOUT, about)
     figures = {**about, "schema": FIGURES_SCHEMA, "state": DONE}
-    hint = "Set a smaller batch or patch_px by --config, or fewer --jobs."
+    small = "Set a smaller batch or patch_px by --config, or fewer --jobs."
+    full = "Use a GPU of more memory, fewer --jobs, or another --size."
+    hint = full if order.config.published else small
     with memory_of(device, order.folder, hint):
-        if not order.variant.refines:
+        if order.variant.refines:
+            figures |= _of_source(order)
+        else:
             try:
                 figures |= _trained(order, store, config, device)
             except TrainingError as error:
@@ -204,6 +208,26 @@ def _run(order: Order) -> dict[str, Any]:
     _tidy(order)
     write_json(order.folder / FIGURES_FILE, figures)
     return figures
+
+
+def _of_source(order: Order) -> dict[str, Any]:
+    """That the training which a run refines diverged, where it did.
+
+    Raises:
+        TrainingError: it is not finished.
+    """
+    path = order.source / FIGURES_FILE
+    if not path.is_file():
+        raise TrainingError(
+            path,
+            found="no such file",
+            expected=f"the finished run that {order.name} refines",
+            hint=f"Name {order.variant.refines} in --only too.",
+        )
+    source = read_json(path, FIGURES_SCHEMA)
+    if source["state"] != DIVERGED:
+        return {}
+    return {"state": DIVERGED, "said": f"{order.variant.refines}: {source['said']}"}
 
 
 def _people(order: Order) -> tuple[Store, set[str], set[str]]:

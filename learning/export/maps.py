@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -69,13 +68,9 @@ def write_maps(folder: Path, source: Source) -> Iterator[tuple[str, str, str]]:
     for name, how in FILES.items():
         if name not in source.maps:
             continue
-        pixels = quantised(source.spread(source.maps[name]), how.curve, np.uint16)
-        write_bytes(place / f"{name}.png", png(pixels))
-        original = source.folder / f"{name}.exr"
-        if original.exists():
-            shutil.copyfile(original, place / f"{name}.exr")
-        else:  # of a template's exponent
-            write_exr(place / f"{name}.exr", source.maps[name])
+        spread = source.spread(source.maps[name])
+        write_bytes(place / f"{name}.png", png(quantised(spread, how.curve, np.uint16)))
+        write_exr(place / f"{name}.exr", spread)
         yield name, how.stores, how.exr
     for name, stem in NORMALS.items():
         tangent = source.tangent(name)

@@ -6,11 +6,11 @@ import re
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from learning.errors import MapsError
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.template import load_template
-from processing.registration.rigid import umeyama
 
 SIDED = (
     "browDown", "browOuterUp", "cheekSquint", "eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut",
@@ -89,9 +89,9 @@ def axes_of(mesh: Mesh, head: Mesh) -> np.ndarray:
     A person is not the template: what turns a head less than `HEAD_FRAME_DEG` is the shape, and the
     mesh is in the head frame.
     """
-    rotation = umeyama(mesh.vertices, head.vertices).rotation
-    angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
-    return np.eye(3) if angle < HEAD_FRAME_DEG else rotation
+    own, other = (each - each.mean(axis=0) for each in (mesh.vertices, head.vertices))
+    rotation, _ = Rotation.align_vectors(other, own)
+    return np.eye(3) if np.degrees(rotation.magnitude()) < HEAD_FRAME_DEG else rotation.as_matrix()
 
 
 def morph_targets(

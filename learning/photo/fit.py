@@ -24,7 +24,7 @@ from learning.photo.eye_texels import eye_texels, with_eyes
 from learning.photo.foreground import foreground
 from learning.photo.several import Joined, View, join
 from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape
-from learning.photo.skin_mask import around_eyes, features, no_skin
+from learning.photo.skin_mask import around_eyes, features, in_no_light, no_skin
 from learning.photo.unwrap import Unwrapped, unwrap, without_slivers
 from learning.relight import lit_texture, shadows_of
 from learning.render.uv import UvRaster, rasterise
@@ -245,12 +245,9 @@ def _look(
         found = coarse.inferred(network, texture, skin, FIRST_SECONDS, camera, None)
         other = no_skin(found.maps["diffuse_albedo"], network, skin, keep)
         if found.light is None:
-            # A hat or glasses may keep every light from explaining the photograph: what they are
-            # is seen under the one that comes nearest.
-            nearest = coarse.inferred(
-                network, texture, skin, FIRST_SECONDS, camera, None, largest_misfit=np.inf
-            )
-            other |= no_skin(nearest.maps["diffuse_albedo"], network, skin, keep)
+            # A hat or glasses may keep every light from explaining the photograph.
+            normal = coarse.raster.normals(mesh)
+            other |= in_no_light(texture, found.maps["diffuse_albedo"], normal, skin, keep)
         before, skin = skin, skin & ~other
         settled = bool((before != skin).mean() < 1e-3)
         if settled:
@@ -347,7 +344,6 @@ class _Texels:
         camera: Camera,
         mesostructure: TrainedMesostructure | None,
         network_sees: np.ndarray | None = None,
-        largest_misfit: float = LARGEST_MISFIT,
         own: OwnShares = OF_TRUE_SHAPES,
     ) -> Inferred:
         """Skin and light of the texels that are shown; see `infer_whole_face`.
@@ -363,7 +359,7 @@ class _Texels:
             refine_seconds=seconds,
             mesostructure=mesostructure,
             camera_mm=camera.centre_mm,
-            largest_misfit=largest_misfit,
+            largest_misfit=LARGEST_MISFIT,
             network_sees=self.read if network_sees is None else self.read & network_sees,
             own=own,
         )

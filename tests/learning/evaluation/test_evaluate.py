@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learning.bootstrap import interval
+from learning.evaluation.command import Pair, agreement, others_cosine
 from learning.evaluation.measures import (
     albedo_measures,
     normal_measures,
@@ -103,6 +104,60 @@ def test_photographs_of_one_person_are_held_against_each_other(
     assert 20 < facts["figures"]["agreement_db"]["mean"] < 45
 
 
+def test_photographs_of_the_same_person_count_as_one_person_however_their_truth_is_named(
+    people: list[ProcessedFolder], tmp_path: Path, evaluate: Callable[..., Ended]
+) -> None:
+    a, b = people[:2]
+    one, two, three = (brightened(a, tmp_path / f"{f}", f) for f in (0.9, 0.7, 0.5))
+    other = brightened(b, tmp_path / "other", 0.95)
+    (tmp_path / "linked").symlink_to(a.root)
+    truths = [a.root, a.root / "atlas", tmp_path / "linked", b.root]
+    out = tmp_path / "figures.json"
+    words = [word for truth in truths for word in ("--truth", truth)]
+    facts = evaluate(one, two, three, other, *words, "--out", out).facts
+    assert (facts["people"], facts["photographs"]) == (2, 4)
+    each = [row["albedo_psnr_db"] for row in facts["each"]]
+    found = facts["figures"]["albedo_psnr_db"]
+    assert found["mean"] == pytest.approx((np.mean(each[:3]) + each[3]) / 2)
+    # Two people are drawn: the bounds are the people themselves.
+    assert found["low"] == pytest.approx(np.mean(each[:3]))
+    assert found["high"] == pytest.approx(each[3])
+    off = [row["ita_error_deg"] for row in facts["each"]]
+    tones = list(facts["ita_error_deg"].values())
+    by_person = [np.mean(off[:3]), off[3]]
+    expected = [np.mean(by_person)] if len(tones) == 1 else by_person
+    assert sorted(tones) == pytest.approx(sorted(expected))
+    assert "2 people, 4 photographs; intervals of 95 % by bootstrap over people" in (
+        out.with_suffix(".md").read_text()
+    )
+    words = [word for truth in truths[:2] for word in ("--truth", truth)]
+    facts = evaluate(one, two, *words, "--out", out).facts
+    assert (facts["people"], facts["photographs"]) == (1, 2)
+    assert "agreement_db" in facts["figures"]
+    assert "over photographs of one person" in out.with_suffix(".md").read_text()
+
+
+def test_cosines_with_others_leave_a_persons_own_photographs_out() -> None:
+    faces = np.eye(2)
+    pairs = [
+        Pair(name, Path(whose), {}, (0.0, 0.0), np.stack([face, face]))
+        for name, whose, face in (("1", "a", faces[0]), ("2", "a", faces[0]), ("3", "b", faces[1]))
+    ]
+    assert others_cosine(pairs) == [0, 0, 0]
+
+
+def test_albedos_of_different_sizes_are_held_against_each_other_at_the_smaller_one() -> None:
+    rng = np.random.default_rng(4)
+    small = rng.uniform(0.2, 0.8, (24, 16, 3)).astype(np.float32)
+    large = np.kron(small, np.ones((2, 2, 1), np.float32))
+    large[:7] = 0  # of no skin: the smaller one's row 3 has some of it
+    (same,) = agreement([small, large])
+    assert same > 100
+    (off,) = agreement([0.5 * large, small])
+    (wanted,) = agreement([0.5 * small[4:], small[4:]])
+    assert off == pytest.approx(wanted, abs=1e-3)
+
+
 def test_what_is_no_pair_is_refused(
     people: list[ProcessedFolder], tmp_path: Path, evaluate: Callable[..., Ended]
 ) -> None:
@@ -177,7 +232,7 @@ def test_intervals_hold_the_mean_and_shrink_with_people() -> None:
 
 
 def test_errors_by_tone_tell_the_worst_over_the_best() -> None:
-    groups = by_tone([60.0, 58.0, -40.0], [61.0, 57.0, -36.0])
+    groups = by_tone([60.0, 58.0, -40.0], [1.0, 1.0, 4.0])
     assert groups == {"very light": (2, 1.0), "dark": (1, 4.0)}
     assert spread(groups) == pytest.approx(4)
     assert np.isnan(spread({"tan": (1, 2.0)}))

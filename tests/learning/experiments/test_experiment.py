@@ -11,16 +11,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from learning.errors import TrainingError
 from learning.experiments import command, work
 from learning.experiments.command import ExperimentRequest, experiment_command, left_line
-from learning.experiments.config import SIZES, sized
+from learning.experiments.config import SIZES, SMALL_ONLY, sized
 from learning.experiments.drive import run_all
 from learning.experiments.held_out import FIGURES
+from learning.experiments.lights import NAMES
 from learning.experiments.people import Halves, halves_of, of_variant, store_of, subject_of
+from learning.experiments.report import Setting, _pairs, _sentences
 from learning.experiments.variants import EXPERIMENTS, STEPS, TIME, Variant, training_of
-from learning.experiments.work import DONE, STOPPED, Order, one_run
+from learning.experiments.work import DIVERGED, DONE, STOPPED, Order, one_run
 from learning.patch_config import TrainConfig
 from lightstage.commands import quiet
 from lightstage.errors import ConfigError, LightstageError, MemoryLimitError
@@ -275,6 +278,74 @@ def test_tones_that_are_left_out_are_those_at_the_end_that_is_named(store_path: 
     assert mean[dark] < mean[light]
 
 
+def test_leaving_tones_out_is_compared_with_as_many_people_of_all_tones() -> None:
+    class Toned:
+        path = Path("store")
+
+    names = tuple(f"person-{index:02}" for index in range(16))
+    halves = Halves(names, ("stranger",))
+    tones = {name: float(index) for index, name in enumerate(names)}
+    variants = {v.name: v for v in EXPERIMENTS["people"](TINY).variants}
+    assert {v.name: v.against for v in variants.values() if v.against} == {
+        "no-lightest": "three-quarters", "no-darkest": "three-quarters",
+    }  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("learning.experiments.people.tones_of", lambda *_: tones)
+
+        def chosen(name: str, seed: int) -> tuple[str, ...]:
+            return of_variant(Toned(), halves, variants[name], TINY, seed)  # type: ignore[arg-type]
+
+        assert chosen("no-lightest", 0) == names[:12]
+        assert chosen("no-darkest", 0) == names[4:]
+        controls = [chosen("three-quarters", seed) for seed in range(5)]
+        assert {len(one) for one in controls} == {12}
+        assert len(set(controls)) > 1
+        assert all(set(one) < set(names) for one in controls)
+        assert chosen("three-quarters", 3) == controls[3]
+
+
+def setting_of(name: str, errors: dict[tuple[int, str], float], **more: object) -> Setting:
+    """A setting whose figures are all one number for each seed and person."""
+    runs = [
+        {
+            "seed": seed,
+            "state": DONE,
+            "people": [
+                {"name": who, "lights": {"target": dict.fromkeys(FIGURES, value)}}
+                for (other, who), value in errors.items()
+                if other == seed
+            ],
+        }
+        for seed in sorted({seed for seed, _ in errors})
+    ]
+    return Setting(Variant(name, name, "demo", {}, **more), runs)  # type: ignore[arg-type]
+
+
+def test_a_setting_is_compared_with_the_one_that_it_names_or_with_its_neighbour() -> None:
+    one = {(0, "a"): 1.0}
+    named = {"against": "three-quarters"}
+    settings = [
+        setting_of("people-8", one), setting_of("three-quarters", one),
+        setting_of("no-lightest", one, **named), setting_of("no-darkest", one, **named),
+    ]  # fmt: skip
+    found = [(a.variant.name, b.variant.name) for a, b in _pairs(settings)]
+    assert found == [
+        ("people-8", "three-quarters"), ("three-quarters", "no-lightest"),
+        ("three-quarters", "no-darkest"),
+    ]  # fmt: skip
+    # Without the control there is nothing to compare with: a neighbour differs in two things.
+    assert _pairs([settings[0], *settings[2:]]) == []
+
+
+def test_the_gain_of_the_last_published_step_is_over_the_seeds_and_people_that_both_have() -> None:
+    first = setting_of("four", {(0, "a"): 10.0, (0, "b"): 10.0})
+    last = setting_of("occlusion", {(0, "a"): 5.0, (0, "b"): 5.0, (1, "a"): 20.0, (1, "b"): 20.0})
+    (headline, *_) = _sentences(STEPS, [first, last])
+    assert "is 50 % below the first" in headline
+    apart = setting_of("occlusion", {(1, "a"): 20.0})
+    assert not any("the first" in sentence for sentence in _sentences(STEPS, [first, apart]))
+
+
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_every_setting_of_every_size_is_a_training_that_its_bounds_allow(
@@ -318,6 +389,60 @@ def test_no_training_at_all_and_unknown_keys_are_refused() -> None:
         sized("small", {"environments": 11}, "x.toml")
 
 
+def test_sizes_that_published_networks_do_not_have_are_refused_with_them() -> None:
+    with pytest.raises(ConfigError, match=r"x\.toml, width, batch: found a value") as refused:
+        sized("full", {"batch": 1, "width": 8, "seeds": 2}, "x.toml")
+    assert "choose another --size" in str(refused.value)
+    assert sized("full", {"published": False, "batch": 1}, "x.toml").batch == 1
+    assert sized("full", {"seeds": 2, "epochs": 3}, "x.toml").epochs == 3
+    # Each of them changes a training of another size and none of this one.
+    for name in SMALL_ONLY:
+        trainings = []
+        for published in (False, True):
+            config = dataclasses.replace(sized("small", {}, "test"), published=published)
+            other = dataclasses.replace(config, **{name: 2 * getattr(config, name)})
+            trainings.append(
+                [
+                    [training_of(v, c, STEPS, 0, 5) for v in EXPERIMENTS["ladder"](c).variants]
+                    for c in (config, other)
+                ]
+            )
+        assert trainings[0][0] != trainings[0][1]
+        assert trainings[1][0] == trainings[1][1]
+
+
+def test_a_full_memory_has_a_hint_that_its_size_allows(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise torch.OutOfMemoryError("out of memory")
+
+    monkeypatch.setattr(work, "train", full)
+    with pytest.raises(LightstageError, match="smaller batch or patch_px"):
+        one_run(order_of(store_path, tmp_path))
+    config = dataclasses.replace(TINY, published=True)
+    monkeypatch.setattr(
+        work,
+        "_config",
+        lambda *_: work.training_of(EXPERIMENTS["ladder"](TINY).variants[1], TINY, STEPS, 0, 1),
+    )
+    with pytest.raises(LightstageError, match="GPU of more memory") as found:
+        one_run(order_of(store_path, tmp_path, config=config))
+    assert "batch" not in found.value.hint
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 6, 7, 10])
+def test_of_two_lights_to_six_the_last_is_the_lamp_from_the_right(
+    store_path: Path, tmp_path: Path, count: int
+) -> None:
+    config = dataclasses.replace(TINY, environments=count)
+    names = work._lights(order_of(store_path, tmp_path, config=config))
+    if 2 <= count <= 6:
+        assert names == (*NAMES[: count - 1], "side-right")
+    else:
+        assert names == NAMES[:count]
+
+
 def test_how_long_is_left_is_estimated_by_the_runs_that_are_finished(
     store_path: Path, tmp_path: Path
 ) -> None:
@@ -348,6 +473,39 @@ def test_a_refinement_waits_for_the_run_that_it_refines(store_path: Path, tmp_pa
     names: list[str] = []
     run_all(orders, 1, None, lambda _, figures: names.append(figures["name"]), answered)
     assert names == ["modern-steps-seed0", "modern-refined-steps-seed0"]
+
+
+@pytest.mark.parametrize("when", ["in training", "in its answers"])
+def test_a_refinement_of_a_training_that_diverged_has_diverged_too(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, when: str
+) -> None:
+    if when == "in training":
+        train = work.train
+
+        def diverging(store: object, out: Path, *more: object, **named: object) -> None:
+            train(store, out, *more, **named)  # type: ignore[arg-type]
+            raise TrainingError(out, field="step 3", found="losses that are not finite")
+
+        monkeypatch.setattr(work, "train", diverging)
+        source = one_run(order_of(store_path, tmp_path, "modern"))
+        monkeypatch.undo()
+    else:
+        source = one_run(order_of(store_path, tmp_path, "modern"))
+        path = order_of(store_path, tmp_path, "modern").folder / work.FIGURES_FILE
+        source |= {"state": DIVERGED, "said": "figures that are not finite"}
+        path.write_text(json.dumps(source))
+    assert source["state"] == DIVERGED
+    refined = one_run(order_of(store_path, tmp_path, "modern-refined"))
+    assert refined["state"] == DIVERGED
+    assert refined["said"].startswith("modern: ")
+    assert "people" not in refined
+
+
+def test_a_refinement_without_the_run_that_it_refines_names_it(
+    store_path: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(TrainingError, match="Name modern in --only too"):
+        one_run(order_of(store_path, tmp_path, "modern-refined"))
 
 
 def test_runs_that_fail_are_named_once_the_others_are_done(

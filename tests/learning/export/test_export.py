@@ -22,7 +22,7 @@ from learning.export.encode import SPECULAR_WHITE
 from learning.export.morphs import ARKIT, arkit_name, arkit_targets, axes_of
 from learning.export.source import read_source
 from learning.render.dielectric import F0
-from lightstage.formats.exr import read_exr
+from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import write_json
 from lightstage.formats.mesh import read_mesh, read_obj
 from lightstage.formats.processed import ProcessedFolder
@@ -185,7 +185,7 @@ def test_the_sixteen_bit_pictures_are_the_maps_within_a_step(person: Path, expor
     np.testing.assert_allclose(stored("confidence"), given("confidence"), atol=step)
     for name in ("diffuse_albedo", "specular_albedo", "roughness"):
         np.testing.assert_array_equal(
-            read_exr(exported / "maps" / f"{name}.exr"), folder.read_atlas(name)
+            read_exr(exported / "maps" / f"{name}.exr")[skin], folder.read_atlas(name)[skin]
         )
     tangent = read_exr(exported / "maps" / "normal_specular.exr")[skin]
     np.testing.assert_allclose(2 * stored("normal_specular") - 1, tangent, atol=6e-4)
@@ -203,6 +203,36 @@ def test_beside_the_surface_a_picture_shows_the_nearest_skin(person: Path, expor
         near = np.hypot(*away.T)
         nearest = place[near < near.min() + 1.0]
         assert (shown[nearest[:, 0], nearest[:, 1]] == shown[row, column]).all(axis=1).any()
+
+
+def test_beside_the_surface_both_files_of_a_map_show_the_nearest_skin(
+    person: Path, exported: Path
+) -> None:
+    folder, source = ProcessedFolder(person), read_source(person)
+    beside = ~source.covered
+    nearest = np.unravel_index(source.nearest[beside], source.size)
+    for name in ("diffuse_albedo", "specular_albedo", "roughness", "ambient_occlusion"):
+        skin = folder.read_atlas(name)
+        found = read_exr(exported / "maps" / f"{name}.exr")
+        assert (skin[beside] != skin[nearest]).any()
+        np.testing.assert_array_equal(found[beside], skin[nearest])
+    openness = read_png(exported / "maps" / "ambient_occlusion.png")
+    np.testing.assert_allclose(
+        openness, read_exr(exported / "maps" / "ambient_occlusion.exr"), atol=0.5 / 65535 + 1e-7
+    )
+
+
+def test_a_wider_float_map_is_written_within_half_a_step_of_half_floats(
+    person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = copied(person, tmp_path)
+    wide = np.random.default_rng(2).uniform(0.1, 1, folder.read_atlas("diffuse_albedo").shape)
+    write_exr(folder.atlas_path("diffuse_albedo"), wide.astype(np.float32), half=False)
+    words = ("--format", "maps", "--out", tmp_path / "out")
+    assert run(monkeypatch, "export", folder.root, *words) == 0
+    skin = read_source(folder.root).covered
+    found = read_exr(tmp_path / "out" / "maps" / "diffuse_albedo.exr")
+    np.testing.assert_allclose(found[skin], wide[skin], rtol=2**-11 + 1e-6)
 
 
 def test_the_obj_is_the_mesh_as_it_was_and_its_material_names_pictures_that_are_there(

@@ -19,6 +19,7 @@ pytestmark = pytest.mark.skipif(
 SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 """WebGL by the processor: there is no graphics card where tests run."""
 WIDTH, HEIGHT = 480, 400
+ROUGHNESS = "roughness (green) and occlusion (red)"
 PANEL_PX = 330
 """Left of this the page has its controls."""
 
@@ -34,6 +35,25 @@ def page(person: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         words = ("--format", "page", "--compare", inferred.root, "--out", root / "out")
         assert run(patch, "export", captured.root, *words) == 0
     return root / "out" / "page.html"
+
+
+@pytest.fixture(scope="module")
+def lacking(person: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page whose inferred side has no roughness."""
+    root = tmp_path_factory.mktemp("lacking")
+    captured, inferred = (copied(person, root / name) for name in ("captured", "inferred"))
+    inferred.atlas_path("roughness").unlink()
+    with pytest.MonkeyPatch.context() as patch:
+        words = ("--format", "page", "--compare", inferred.root, "--out", root / "out")
+        assert run(patch, "export", captured.root, *words) == 0
+    return root / "out" / "page.html"
+
+
+def listed(browser: Browser) -> list[str]:
+    """The maps that the page lets one choose."""
+    words = browser.js("[...document.getElementById('map').options].map(o => o.value)")
+    assert isinstance(words, list)
+    return words
 
 
 def _paint(folder: ProcessedFolder, colour: tuple[float, float, float]) -> None:
@@ -89,6 +109,24 @@ def test_the_page_draws_the_head_and_its_slider_uncovers_inferred_left_and_captu
     line = round(0.7 * (PANEL_PX + WIDTH)) - PANEL_PX
     assert reds_and_blues(both[:, : line - 1])[0] == 0
     assert reds_and_blues(both[:, line + 1 :])[1] == 0
+    assert browser.errors == []
+
+
+def test_a_map_that_one_side_lacks_is_not_in_the_list_and_a_map_that_nobody_has_is_ignored(
+    browser: Browser, page: Path, lacking: Path, tmp_path: Path
+) -> None:
+    shown(browser, page, "map=nonsense&around=elsewhere&wipe=0", tmp_path)
+    chosen = "['map','around'].map(name => document.getElementById(name).value)"
+    assert browser.js(chosen) == ["skin, lit", "studio"]
+    assert ROUGHNESS in listed(browser)
+    shown(browser, lacking, f"map={ROUGHNESS}&wipe=0.7", tmp_path)
+    assert browser.js(chosen) == ["skin, lit", "studio"]
+    names = listed(browser)
+    assert ROUGHNESS not in names
+    assert "mirror share of n = 1.4" in names
+    for name in names:
+        picture = shown(browser, lacking, f"map={name}&around=none&wipe=0.7", tmp_path)
+        assert (picture.max(axis=2) > 60).sum() > 5_000, name
     assert browser.errors == []
 
 
