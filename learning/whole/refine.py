@@ -25,7 +25,14 @@ from learning.whole.detail import enlarged
 from learning.whole.gaps import sides_mirror, without_gaps
 from learning.whole.light import Light, LightFit, LitSurface
 from learning.whole.together import Explained, KnownSkin, explain
-from learning.whole.unlit import light_edges, lit_enough, matt, misplaced, over_light
+from learning.whole.unlit import (
+    in_the_dark,
+    light_edges,
+    lit_enough,
+    matt,
+    misplaced,
+    over_light,
+)
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 
@@ -290,7 +297,10 @@ class _Followed:
         shine = enlarged(specular, rows, columns)[..., None] * lobe
         unlit = over_light(texture, irradiance, shine)
         skin = np.exp(enlarged(np.log(low_albedo), rows, columns))
-        known &= photographed & matt(texture, shine)
+        dark = in_the_dark(texture, photographed)
+        known &= photographed & matt(texture, shine) & ~dark
+        # The border of a shadow that the model does not have is an edge, too.
+        edges |= cv2.resize(dark.astype(np.uint8), edges.shape[::-1]) > 0
         return unlit, known & ~misplaced(unlit / skin, edges, known)
 
     @functools.cached_property

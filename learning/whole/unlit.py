@@ -15,6 +15,9 @@ DARK_LIGHT = 0.02
 """Irradiance below which nothing is divided by it."""
 LEAST_LIGHT = 0.15
 """Share of the median irradiance below which the texture does not show a texel's own albedo."""
+BLACK = 0.05
+"""Share of a texture's median value below which a texel is in a shadow: a black beard on light skin
+has a seventh of it."""
 MOST_SHINE = 0.35
 """Share of a texture's value, in any channel, above which a highlight hides the skin."""
 EDGE_SHARE = 1 / 384
@@ -52,6 +55,20 @@ def lit_enough(level: np.ndarray, covered: np.ndarray) -> np.ndarray:
     if not covered.any():
         return covered
     found: np.ndarray = covered & (level > LEAST_LIGHT * np.median(level[covered]))
+    return found
+
+
+def in_the_dark(texture: np.ndarray, photographed: np.ndarray) -> np.ndarray:
+    """(rows, columns) bool, where a texture is so dark that no skin, lit as the face is, is there.
+
+    Args:
+        texture: (rows, columns, 3) linear.
+        photographed: (rows, columns) bool.
+    """
+    level = texture.mean(axis=2)
+    if not photographed.any():
+        return photographed
+    found: np.ndarray = photographed & (level < BLACK * np.median(level[photographed]))
     return found
 
 

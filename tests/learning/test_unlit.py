@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from learning.whole.unlit import light_edges, misplaced
+from learning.whole.unlit import in_the_dark, light_edges, misplaced
 
 
 def test_an_edge_of_a_shadow_is_left_out_and_a_slow_fall_is_not() -> None:
@@ -50,3 +50,20 @@ def test_edges_in_light_of_any_strength_leave_a_mask(scale: float) -> None:
     # Light that is dark everywhere has no edges.
     assert nothing_known.any() == (scale > 1)
     assert not nothing_known[:, 48:].any()
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_what_is_black_beside_the_face_is_in_a_shadow_and_a_black_beard_is_not(
+    scale: float,
+) -> None:
+    texture = np.full((96, 64, 3), 0.35 * scale)
+    texture[10:20] = 0.05 * scale
+    texture[40:50] = 0.001 * scale
+    photographed = np.ones((96, 64), bool)
+    photographed[:, :10] = False
+    found = in_the_dark(texture, photographed)
+    assert found[40:50, 10:].all()
+    assert found.sum() == 10 * 54
+    # In darkness nothing is darker than the rest; nothing photographed has no median.
+    assert not in_the_dark(0 * texture, photographed).any()
+    assert not in_the_dark(texture, ~photographed & False).any()
