@@ -1,4 +1,4 @@
-"""MakeHuman's base mesh hm08 as its users have it [MakeHuman2020]: a folder, or a wheel that holds it.
+"""MakeHuman's base mesh hm08 as users have it [MakeHuman2020]: a folder, or a wheel that holds it.
 
 3dobjs/base.obj has the body and its helpers in groups; each file of targets/ moves some of its
 vertices, one a line with its number and three offsets, and may be compressed. The unit is the
