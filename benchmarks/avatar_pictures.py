@@ -26,7 +26,7 @@ from benchmarks.avatar_photos import Case, head_of, light_for, sitter_of
 from benchmarks.networks_lights import light_of
 from benchmarks.networks_people import KINDS, chosen
 from benchmarks.photo import in_head
-from benchmarks.photo_studio import AIM_MM, DISTANCE_MM, FOCAL_PX, HEIGHT_PX, WIDTH_PX
+from benchmarks.photo_studio import FOCAL_PX, HEIGHT_PX, WIDTH_PX, studio_camera
 from learning.maps import load_head
 from learning.photo.command import FIT, LIGHT, MAPS, MESH, FitRequest, fit_command
 from learning.photo.picture import read_photograph
@@ -38,7 +38,7 @@ from lightstage.formats.mesh import Mesh, read_obj
 from lightstage.formats.png import write_png
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
-from lightstage.rig import Camera, look_at
+from lightstage.rig import Camera
 from processing.colour import srgb_from_linear
 
 TILE_PX = 168, 224
@@ -74,7 +74,7 @@ def main() -> None:
     heads += [np.full_like(heads[0], 255)] * (-len(heads) % ACROSS)
     rows = [np.concatenate(heads[k : k + ACROSS], axis=1) for k in range(0, len(heads), ACROSS)]
     picture = np.ascontiguousarray(np.concatenate(rows)[..., ::-1])
-    cv2.imwrite(str(asked.picture), picture, [cv2.IMWRITE_JPEG_QUALITY, 88])
+    cv2.imwrite(str(asked.picture), picture)
 
 
 def known_row(case: Case, place: Path) -> np.ndarray:
@@ -114,7 +114,7 @@ def fit_tiles(
     if light is not None:
         own = picture(out / MAPS, mesh, light, camera)
     shown = [cut(image, place) for image in (read_photograph(photo).rgb_linear, own)]
-    return [*shown, tile(picture(out / MAPS, mesh, side, turned_camera()))]
+    return [*shown, tile(picture(out / MAPS, mesh, side, studio_camera(np.eye(3, 4), TURN_DEG)))]
 
 
 def captured_row(out: Path) -> np.ndarray:
@@ -125,11 +125,7 @@ def captured_row(out: Path) -> np.ndarray:
         side_light(), position_mm=(side_light().position_mm - pose[:, 3]) @ pose[:, :3]
     )
     mesh = read_obj(folder.registered_mesh)
-    whole = np.vstack([pose, [0, 0, 0, 1]])
-    cameras = [
-        dataclasses.replace(each, cam_from_world=(each.cam_from_world @ whole)[:3])
-        for each in (turned_camera(0.0), turned_camera())
-    ]
+    cameras = [studio_camera(pose, yaw_deg) for yaw_deg in (0.0, TURN_DEG)]
     return row(
         [
             tile(picture(folder.atlas_path("diffuse_albedo").parent, mesh, side, camera))
@@ -147,16 +143,6 @@ def picture(maps: Path, mesh: Mesh, lights: LightSet, camera: Camera) -> np.ndar
 def side_light() -> LightSet:
     """Under which heads are turned."""
     return light_of(SIDE, 0)
-
-
-def turned_camera(yaw_deg: float = TURN_DEG) -> Camera:
-    """As `photo_studio.camera_at`, of a head in the head frame."""
-    turn = np.radians(yaw_deg)
-    place = AIM_MM + DISTANCE_MM * np.array([np.sin(turn), 0.0, np.cos(turn)])
-    middle = (WIDTH_PX / 2, HEIGHT_PX / 2)
-    focal = (FOCAL_PX, FOCAL_PX)
-    size = (WIDTH_PX, HEIGHT_PX)
-    return Camera("turned", "", "", *size, *focal, *middle, (0.0,) * 5, look_at(place, AIM_MM))
 
 
 def cut(image: np.ndarray, place_px: np.ndarray) -> np.ndarray:

@@ -33,11 +33,17 @@ SUPERSAMPLE = 2
 
 def camera_at(head: Head, yaw_deg: float, scale: float = 1.0) -> Camera:
     """A camera that looks at a head's face from a side, its picture made smaller or larger."""
+    camera = studio_camera(head.head_from_world, yaw_deg)
+    return camera if scale == 1.0 else camera.scaled(scale)
+
+
+def studio_camera(head_from_world: np.ndarray, yaw_deg: float) -> Camera:
+    """The studio's camera at a side of a head whose (3, 4) pose is given."""
     turn = np.radians(yaw_deg)
     place = AIM_MM + DISTANCE_MM * np.array([np.sin(turn), 0.0, np.cos(turn)])
     from_head = look_at(place, AIM_MM)
-    pose = from_head @ np.vstack([head.head_from_world, [0, 0, 0, 1]])
-    camera = Camera(
+    pose = from_head @ np.vstack([head_from_world, [0, 0, 0, 1]])
+    return Camera(
         "photo",
         "",
         "",
@@ -50,7 +56,6 @@ def camera_at(head: Head, yaw_deg: float, scale: float = 1.0) -> Camera:
         (0.0,) * 5,
         pose,
     )
-    return camera if scale == 1.0 else camera.scaled(scale)
 
 
 class Sitter:

@@ -98,9 +98,7 @@ def export_command(
         place = ProcessedFolder(source.folder.parent).registered_mesh if mesh is None else mesh
         other = read_source(compare, place, template)
         sides = {"inferred": (other, Pictures(other)), **sides}
-    morphs, notes = _morphs(source, template if "gltf" in chosen else None, mesh)
-    if template is not None and "gltf" not in chosen:
-        notes = ["expressions (--template) are written to glTF alone: no morph targets"]
+    morphs, notes = _morphs(source, template, mesh, "gltf" in chosen)
     notes = [*source.notes, *notes]
     pictures: Pictures = list(sides.values())[-1][1]
     written: list[tuple[str, str, str]] = []
@@ -166,11 +164,13 @@ def _write_programs(
 
 
 def _morphs(
-    source: Source, template: Path | None, mesh: Path | None
+    source: Source, template: Path | None, mesh: Path | None, wanted: bool
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """Morph targets of a template, and notes for the user; the mesh's own file may be elsewhere."""
     if template is None:
         return {}, []
+    if not wanted:
+        return {}, ["expressions (--template) are written to glTF alone: no morph targets"]
     places = [source.folder.parent, *([] if mesh is None else [mesh.parent])]
     poses = [
         pose for pose in (ProcessedFolder(place).head_pose for place in places) if pose.exists()

@@ -38,10 +38,10 @@ def openings(rgb_linear: np.ndarray, marks: np.ndarray) -> np.ndarray:
     """
     found = np.full((2, 3, 2), np.nan)
     skin = _skin(rgb_linear, marks)
+    if skin is None or _saturation(skin) < LEAST_SATURATION:
+        return found
     for index, outline in enumerate(EYES):
         eye = marks[outline]
-        if skin is None or _saturation(skin) < LEAST_SATURATION:
-            continue
         if not np.isfinite(eye).all() or np.ptp(eye[:, 0]) < LEAST_PX:
             continue
         opening = _opening(rgb_linear, eye, skin)

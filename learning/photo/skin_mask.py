@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from learning.networks.whole_face import DARKEST, WholeFaceNetwork
+from learning.photo.face_light import harmonics
 from learning.render.uv import UvRaster
 from lightstage.formats.template import Template
 
@@ -32,13 +33,11 @@ NOT_SKIN_TINT = 0.35
 def features(template: Template, raster: UvRaster) -> np.ndarray:
     """(rows, columns) bool, eyes, lips and brows of a template: they differ between people."""
     vertices = template.mesh.vertices
-    chosen = np.zeros(len(vertices), bool)
-    for name in FEATURES:
-        chosen[template.regions.get(name, np.zeros(0, int))] = True
+    chosen = _of_regions(template, FEATURES)
     brows = vertices[template.landmarks[BROWS]]
     for place in brows:
         chosen |= np.linalg.norm(vertices - place, axis=1) < BROW_MM
-    return np.asarray(raster.interpolate(chosen[:, None].astype(float))[..., 0] > 0)
+    return _touched(chosen, raster)
 
 
 def around_eyes(template: Template, raster: UvRaster) -> np.ndarray:
@@ -47,10 +46,20 @@ def around_eyes(template: Template, raster: UvRaster) -> np.ndarray:
     The network reads the light's strength from the whites of the eyes. A fitted shape has them some
     millimetres beside the person's, and highlights lie on them: without them the network is nearer.
     """
-    chosen = np.zeros((len(template.mesh.vertices), 1))
-    chosen[template.regions.get("eyes", np.zeros(0, int))] = 1
-    eyes = raster.interpolate(chosen)[..., 0] > 0
-    return _spread(eyes, EYES_SPREAD)
+    return _spread(_touched(_of_regions(template, ("eyes",)), raster), EYES_SPREAD)
+
+
+def _of_regions(template: Template, names: tuple[str, ...]) -> np.ndarray:
+    """(n,) bool, vertices of some of a template's regions."""
+    chosen = np.zeros(len(template.mesh.vertices), bool)
+    for name in names:
+        chosen[template.regions.get(name, np.zeros(0, int))] = True
+    return chosen
+
+
+def _touched(chosen: np.ndarray, raster: UvRaster) -> np.ndarray:
+    """(rows, columns) bool, texels of triangles that have one of some (n,) vertices."""
+    return np.asarray(raster.interpolate(chosen[:, None].astype(float))[..., 0] > 0)
 
 
 def no_skin(
@@ -100,28 +109,24 @@ def in_no_light(
         seen: (rows, columns) bool.
         keep: (rows, columns) bool, never taken for something else.
     """
-    known = seen & (albedo > 0).all(axis=2)
+    known = seen & (albedo > 0).all(axis=2) & np.isfinite(texture).all(axis=2)
     if known.sum() < LEAST_TEXELS:
         return np.zeros_like(seen)
     arriving = np.zeros(seen.shape)
     dark = np.maximum(texture[known], DARKEST)
     arriving[known] = (np.log(dark) - np.log(albedo[known])).mean(axis=1)
-    basis = harmonics(normal[known])
+    values, _ = harmonics(normal[known])
+    basis = np.column_stack([np.ones(len(values)), values])
     weight = np.ones(len(basis))
+    ridge = 1e-6 * len(basis) * np.eye(basis.shape[1])
     for _ in range(ROBUST_ROUNDS):
-        normal_matrix = basis.T @ (weight[:, None] * basis) + 1e-6 * len(basis) * np.eye(9)
-        found = np.linalg.solve(normal_matrix, basis.T @ (weight * arriving[known]))
+        product = basis.T @ (weight[:, None] * basis) + ridge
+        found = np.linalg.solve(product, basis.T @ (weight * arriving[known]))
         off = arriving[known] - basis @ found
         weight = 1 / (1 + (off / HALF_AT) ** 2) ** 2
     arriving[known] = off
     far = (_over_millimetres(arriving, known) > NOT_SKIN) & known & ~keep
     return np.asarray(_spread(far, SPREAD) & ~keep)
-
-
-def harmonics(normal: np.ndarray) -> np.ndarray:
-    """(n, 9) polynomials of (n, 3) directions that span the harmonics of orders 0 to 2."""
-    x, y, z = np.asarray(normal, float).T
-    return np.stack([np.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, z * z], axis=1)
 
 
 def _over_millimetres(values: np.ndarray, seen: np.ndarray) -> np.ndarray:

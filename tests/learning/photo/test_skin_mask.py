@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from learning.checkpoint import load_whole_face, shipped_weights
 from learning.errors import MapsError
@@ -16,6 +18,7 @@ from learning.photo.config import FitConfig
 from learning.photo.fit import fit_head
 from learning.photo.picture import read_photograph
 from learning.photo.shape_fit import Photograph, Places
+from learning.photo.skin_mask import in_no_light
 from learning.render.uv import rasterise
 from learning.whole.infer import infer_whole_face
 from lightstage.formats.template import Template
@@ -66,3 +69,43 @@ def test_a_later_photograph_in_hardly_any_light_gives_the_shape_alone(
     assert set(np.unique(found.source)) == {-1, 0}
     with pytest.raises(MapsError, match="dark"):
         fit_head([dark, good], template, places, network, config)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    fill=st.sampled_from([0.0, -1.0, np.nan, np.inf, 1e-6, 1e6]),
+    share=st.floats(0, 1),
+    scale=st.sampled_from([1e-6, 1.0, 1e6]),
+    flat=st.booleans(),
+)
+def test_any_texture_gives_a_mask_of_what_no_light_explains(
+    fill: float, share: float, scale: float, flat: bool
+) -> None:
+    rng = np.random.default_rng(0)
+    size = (48, 32)
+    normal = rng.normal(size=(*size, 3))
+    if flat:
+        normal[:] = 0, 0, 1
+    texture = scale * rng.uniform(0.2, 0.4, (*size, 3))
+    lost = rng.random(size) < share
+    texture[lost] = fill
+    seen, keep = np.ones(size, bool), np.zeros(size, bool)
+    keep[:5] = True
+    found = in_no_light(texture, np.full((*size, 3), 0.3), normal, seen, keep)
+    assert found.shape == size
+    assert found.dtype == bool
+    assert not found[keep].any()
+
+
+def test_a_black_hat_is_explained_by_no_soft_light_and_a_lit_forehead_is() -> None:
+    size = (96, 64)
+    across = np.linspace(-0.9, 0.9, size[1]) * np.ones(size)
+    normal = np.stack([across, np.zeros(size), np.sqrt(1 - across**2)], axis=2)
+    albedo = np.full((*size, 3), 0.3)
+    texture = albedo * (0.5 + 0.4 * normal[..., :1])
+    seen, keep = np.ones(size, bool), np.zeros(size, bool)
+    assert not in_no_light(texture, albedo, normal, seen, keep).any()
+    texture[:20] = 0.008
+    found = in_no_light(texture, albedo, normal, seen, keep)
+    assert found[:20].all()
+    assert not found[26:].any()
