@@ -1,11 +1,13 @@
-"""What the tests of `export` share: the command in this process, and a copy to spoil."""
+"""What the tests of `export` share: the command in this process, a copy to spoil, a glTF read."""
 
 from __future__ import annotations
 
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from learning.__main__ import main
@@ -22,3 +24,14 @@ def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
 def copied(person: Path, folder: Path) -> ProcessedFolder:
     shutil.copytree(person, folder / "copy")
     return ProcessedFolder(folder / "copy")
+
+
+def accessor(glb: tuple[dict[str, Any], bytes], index: int) -> np.ndarray:
+    """The numbers of an accessor of a glTF document and its binary part."""
+    document, binary = glb
+    fields = document["accessors"][index]
+    view = document["bufferViews"][fields["bufferView"]]
+    data = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+    if fields["type"] == "SCALAR":
+        return np.frombuffer(data, "<u4").reshape(-1, 3)
+    return np.frombuffer(data, "<f4").reshape(fields["count"], int(fields["type"][-1]))
