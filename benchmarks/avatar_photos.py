@@ -37,7 +37,7 @@ from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
 from learning.photo.fit import FittedHead, fit_head
-from learning.photo.shape_fit import Photograph, Places
+from learning.photo.shape_fit import Photograph, Places, detector_places
 from learning.render.uv import rasterise
 from learning.upscale.network import Rcan
 from learning.whole.detail import enlarged
@@ -126,10 +126,9 @@ def template() -> Template:
 @functools.cache
 def places() -> tuple[Places, np.ndarray]:
     """Where the detector's points lie on the template, and which of the 468 do."""
-    points = template().face_points
-    assert points is not None, "the template has no mediapipe468.json"
-    there = points.triangles[:, 0] >= 0
-    return Places(points.triangles[there], points.weights[there], points.spread_mm[there]), there
+    found = detector_places(template())
+    assert found is not None, "the template has no mediapipe468.json"
+    return found
 
 
 @functools.cache

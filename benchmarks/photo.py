@@ -39,7 +39,7 @@ from learning.checkpoint import load_whole_face, shipped_weights
 from learning.photo.config import FitConfig
 from learning.photo.fit import FittedHead, fit_head
 from learning.photo.model import NOSE_TIP, shape_model
-from learning.photo.shape_fit import Photograph, Places, fit_shape
+from learning.photo.shape_fit import Photograph, detector_places, fit_shape
 from learning.render.uv import rasterise
 from learning.render.view import render_view
 from lightstage.formats.environment import LightSet
@@ -52,8 +52,6 @@ YAWS_DEG = (0, 30)
 THREE_DEG = (0, 30, -30)
 FACE_MM, FACING = 80.0, 0.3
 """The face that is scored: within this of the nose's tip, and its normals forward by so much."""
-PIXEL_ROUNDS = 3
-"""Of the shape from pixels, which the defaults leave out."""
 NUMBER = 3
 """Of the lights' draw."""
 
@@ -109,6 +107,7 @@ Off = tuple[float, float]
 class Scores:
     """Errors of one kind of heads."""
 
+    mesh: list[Off] = dataclasses.field(default_factory=list)
     mean: list[Off] = dataclasses.field(default_factory=list)
     one_alone: list[Off] = dataclasses.field(default_factory=list)
     one_pixels: list[Off] = dataclasses.field(default_factory=list)
@@ -128,22 +127,22 @@ def measure(
     """Fit one head under each light, and add up its errors."""
     config = dataclasses.replace(FitConfig(), rows=rows)
     model = shape_model(template, config)
-    points = template.face_points
-    assert points is not None, "the template has no mediapipe468.json"
-    there = points.triangles[:, 0] >= 0
-    places = Places(points.triangles[there], points.weights[there], points.spread_mm[there])
+    found = detector_places(template)
+    assert found is not None, "the template has no mediapipe468.json"
+    places, there = found
     face = scored(template)
     truth = in_head(head, head.mesh.vertices)
     normals = vertex_normals(truth, template.mesh.triangles())[face]
     network, _ = load_whole_face(shipped_weights())
     alone = dataclasses.replace(config, pixel_rounds=0)
-    pixels = dataclasses.replace(config, pixel_rounds=PIXEL_ROUNDS)
+    pixels = dataclasses.replace(config, pixel_photographs=1)
 
     def off(vertices: np.ndarray) -> Off:
         beside = apart(vertices[face], truth[face])
         return _mean(beside), float(np.abs((beside * normals).sum(axis=1)).mean())
 
-    scores.mean.append(off(template.mesh.vertices))
+    scores.mesh.append(off(template.mesh.vertices))
+    scores.mean.append(off(model.mean))
     shapes = []
     sitters = {yaw: Sitter(head, yaw, scale) for yaw in THREE_DEG}
     for name in LIGHTS:
@@ -209,7 +208,8 @@ def main() -> None:
         rows.append(_row(name, scores))
     header = [
         "heads",
-        "mean shape mm (along the normal)",
+        "template's mesh mm (along the normal)",
+        "mean shape of the fit",
         "one photo, landmarks alone",
         "one photo, pixels too",
         "three photos, landmarks alone",
@@ -237,10 +237,9 @@ def main() -> None:
 
 def write_texture(arguments: argparse.Namespace, template: Template) -> None:
     """One photograph against three of each person, as one texture."""
-    points = template.face_points
-    assert points is not None, "the template has no mediapipe468.json"
-    there = points.triangles[:, 0] >= 0
-    places = Places(points.triangles[there], points.weights[there], points.spread_mm[there])
+    found = detector_places(template)
+    assert found is not None, "the template has no mediapipe468.json"
+    places, there = found
     raster = rasterise(template.mesh, arguments.rows, arguments.rows * 2 // 3)
     near = raster.interpolate(scored(template)[:, None].astype(float))[..., 0] > 0.5
     body = []
@@ -283,6 +282,7 @@ def _row(name: str, scores: Scores) -> list[str]:
 
     return [
         name,
+        both(scores.mesh),
         both(scores.mean),
         both(scores.one_alone),
         both(scores.one_pixels),

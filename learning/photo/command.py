@@ -26,7 +26,7 @@ from learning.photo.fit import FittedHead, fit_head
 from learning.photo.grey import coloured, has_no_colour
 from learning.photo.page import write_page
 from learning.photo.picture import PhotoFile, read_photograph
-from learning.photo.shape_fit import Photograph, Places
+from learning.photo.shape_fit import Photograph, Places, detector_places
 from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
@@ -166,8 +166,8 @@ class Marks:
             scheme = str(read_json(self._file, "lightstage.landmarks/1").get("scheme"))
             self._stated = read_points_px(self._file, scheme if scheme == FACE_MESH else IBUG)
         if scheme == FACE_MESH:
-            points = template.face_points
-            if points is None:
+            found = detector_places(template)
+            if found is None:
                 raise MapsError(
                     request.template,
                     field=f"{FACE_MESH}.json",
@@ -175,12 +175,7 @@ class Marks:
                     expected="the places of the detector's points on the template",
                     hint="`lightstage-learning template-points --template TEMPLATE` finds them.",
                 )
-            self._there = points.triangles[:, 0] >= 0
-            self.places = Places(
-                points.triangles[self._there],
-                points.weights[self._there],
-                points.spread_mm[self._there],
-            )
+            self.places, self._there = found
         else:
             self._there = np.ones(len(template.landmarks), bool)
             corners = np.repeat(template.landmarks[:, None], 3, axis=1)

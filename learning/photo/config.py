@@ -17,6 +17,9 @@ class FitConfig:
         focal_told_spread: the same where EXIF states it.
         identity_modes: of the template, at most.
         depth_deviation: standard deviation of a face's depth, of the template's.
+        mesh_share: where the template has a population, so far the fit begins from its mean head
+            towards the template's own mesh. The template's own modes remain beside the people's.
+        mesh_deviation: standard deviation of the rest of the way, of its whole length.
         free_modes: smooth changes of the shape beside the template's modes.
         free_mm: standard deviations of these changes on the face, one for each of their sizes,
             the smallest first.
@@ -29,8 +32,10 @@ class FitConfig:
             The rest is taken for light that the fitted shape did not explain.
         detail_share: the same of all that is finer.
         rounds: of light, skin and mask in turns.
-        pixel_rounds: of the shape from pixels and outlines after the landmarks, such as 3; 0 for
-            landmarks alone, which were nearer on people kept apart (docs/photo.md).
+        pixel_rounds: of the shape from pixels and outlines after the landmarks; 0 for landmarks
+            alone.
+        pixel_photographs: with fewer photographs the landmarks alone give the shape: from one,
+            pixels bring as many faces farther from the truth as nearer (docs/photo.md).
         pixel_deviation: standard deviation of a pixel's logarithm from that of the model.
         pixel_alike_mm2: so much of the face errs as one.
         albedo_deviation: standard deviation of the albedo's logarithm, beside the mean person's
@@ -45,6 +50,8 @@ class FitConfig:
     focal_told_spread: float = 0.03
     identity_modes: int = 100
     depth_deviation: float = 0.12
+    mesh_share: float = 0.3
+    mesh_deviation: float = 0.4
     free_modes: int = 100
     free_mm: tuple[float, ...] = (1.0, 3.0)
     free_length_mm: tuple[float, ...] = (18.0, 40.0)
@@ -54,7 +61,8 @@ class FitConfig:
     marks_share: float = 0.2
     detail_share: float = 0.75
     rounds: int = 2
-    pixel_rounds: int = 0
+    pixel_rounds: int = 3
+    pixel_photographs: int = 2
     pixel_deviation: float = 0.12
     pixel_alike_mm2: float = 15.0
     albedo_deviation: float = 0.02

@@ -1,9 +1,10 @@
 """The shapes that a fit may take: a template's modes, and smooth changes beside them.
 
-A template's modes span the people that it was made of. Another person differs from all of these;
-smooth changes, drawn from a Gaussian process on the mean shape [Luthi2018], take up what the modes
-do not have. A face's two sides are nearly alike, so the process is: what one side does the other
-mirrors, but for a small part.
+A template's modes span the people that it was made of; its population, where it has one, has a
+mean and modes of its own. Another person differs from all of these; smooth changes, drawn from a
+Gaussian process on the mean shape [Luthi2018], take up what the modes do not have. A face's two
+sides are nearly alike, so the process is: what one side does the other mirrors, but for a small
+part.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ class ShapeModel:
 
     Attributes:
         mean: (n, 3).
-        identity: (k, n, 3), each of one standard deviation: the template's modes, the face's depth,
-            then the smooth changes.
+        identity: (k, n, 3), each of one standard deviation: the way from the population's mean to
+            the template's mesh and the population's modes, where the template has one; the
+            template's modes; the face's depth; then the smooth changes.
         expression: (m, n, 3) at full strength.
         expression_names: m names.
         named_modes: how many of the identity's are not smooth changes.
@@ -92,6 +94,11 @@ def shape_model(template: Template, config: FitConfig) -> ShapeModel:
     deeper = np.zeros_like(mean)
     deeper[:, 2] = np.maximum(mean[:, 2] - behind, 0)
     mean = mean + (template.depth_ratio - 1) * deeper
+    people = template.population
+    if people is not None:
+        rest = mean - people.mean_mm
+        mean = people.mean_mm + config.mesh_share * rest
+        own = np.concatenate([config.mesh_deviation * rest[None], people.identity_mm, own])
     own = np.concatenate([own, config.depth_deviation * deeper[None]])
     scales = list(zip(config.free_mm, config.free_length_mm, strict=True))
     free = smooth_changes(mean, face, config.free_modes, scales, config.asymmetry)

@@ -56,6 +56,20 @@ class Places:
     spread_mm: np.ndarray
 
 
+def detector_places(template: Template) -> tuple[Places, np.ndarray] | None:
+    """Places of the face detector's points that lie on a template, and which of the 468 these are.
+
+    They are those of the population's mean head where its template has one, because detectors see
+    them elsewhere on a head of another shape. None for a template without such points.
+    """
+    people = template.population
+    points = template.face_points if people is None else people.face_points or template.face_points
+    if points is None:
+        return None
+    there = points.triangles[:, 0] >= 0
+    return Places(points.triangles[there], points.weights[there], points.spread_mm[there]), there
+
+
 @dataclasses.dataclass(frozen=True)
 class Shape:
     """A person's shape and how each photograph was taken.
@@ -93,8 +107,9 @@ def fit_shape(
         places: of the landmarks on it.
         config: what is known before.
         model: of the template, where it was made already.
-        network: knows the albedo of the mean person and how others differ; without it, or without
-            rounds for pixels in the configuration, landmarks alone give the shape.
+        network: knows the albedo of the mean person and how others differ; without it, or where
+            the configuration has no rounds of pixels for so few photographs, landmarks alone give
+            the shape.
 
     Raises:
         MapsError: a photograph with too few landmarks, or none that agree with a face.
@@ -127,7 +142,8 @@ def fit_shape(
                 found="landmarks that fit no head",
                 expected="those of one face, in the scheme's order",
             )
-    if network is not None and config.pixel_rounds:
+    from_pixels = config.pixel_rounds and len(photographs) >= config.pixel_photographs
+    if network is not None and from_pixels:
         pictures = [photograph.rgb_linear for photograph in photographs]
         search = PixelFit(problem, model, template, network, pictures, config)
         at, covariance = search.run(at)

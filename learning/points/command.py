@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,9 @@ from learning.points.paint import painted
 from learning.points.pictures import Coloured, Lamp, camera_at, pictures_of
 from lightstage.commands import ProgressCallback
 from lightstage.formats.png import write_png
+from lightstage.formats.population import write_population
 from lightstage.formats.surface_points import SurfacePoints, file_name, write_surface_points
-from lightstage.formats.template import load_template
+from lightstage.formats.template import Template, load_template
 
 SHOWN_YAWS_DEG = (-35.0, 0.0, 35.0)
 FINER = 2.5
@@ -25,12 +27,14 @@ DOT = (0, 255, 0)
 def template_points(
     path: Path, out: Path | None, picture: Path | None, progress: ProgressCallback
 ) -> dict[str, Any]:
-    """Find and write a template's points.
+    """Find and write a template's points, and those of its population's mean head.
 
     Args:
         path: the template's folder.
-        out: the file; the template's own where absent.
-        picture: of the head with its points, or None.
+        out: the file for the mesh's points; where absent, all are written into the template's
+            folder.
+        picture: of the head with its points, or None; of the population's mean head where its
+            points were found.
         progress: of views.
 
     Returns:
@@ -41,23 +45,37 @@ def template_points(
     """
     began = time.monotonic()
     template = load_template(path)
-    middle = template.mesh.vertices[template.landmarks[17:]].mean(axis=0)
-    head = Coloured(template.mesh, painted(template), middle)
+    head = _head(template)
     points, counts = find_points(head, progress=progress)
+    people, mean_points = template.population, None
+    if people is not None and out is None:
+        mean = dataclasses.replace(template, mesh=template.mesh.with_vertices(people.mean_mm))
+        head = _head(mean)
+        mean_points, _ = find_points(head, progress=progress)
+        write_population(dataclasses.replace(people, face_points=mean_points), path)
     written = write_surface_points(points, out or path / file_name(SCHEME))
     if picture is not None:
-        write_png(picture, drawn(head, points))
+        write_png(picture, drawn(head, mean_points or points))
     there = points.triangles[:, 0] >= 0
     return {
         "points": str(written),
         "found": int(there.sum()),
         "absent": int((~there).sum()),
+        "found_on_people": None
+        if mean_points is None
+        else int((mean_points.triangles[:, 0] >= 0).sum()),
         "spread_median_mm": round(float(np.median(points.spread_mm[there])), 2),
         "spread_p90_mm": round(float(np.quantile(points.spread_mm[there], 0.9)), 2),
         **counts,
         "picture": None if picture is None else str(picture),
         "seconds": round(time.monotonic() - began, 1),
     }
+
+
+def _head(template: Template) -> Coloured:
+    """A template's mesh, coloured to be seen as a face."""
+    middle = template.mesh.vertices[template.landmarks[17:]].mean(axis=0)
+    return Coloured(template.mesh, painted(template), middle)
 
 
 def drawn(head: Coloured, points: SurfacePoints) -> np.ndarray:

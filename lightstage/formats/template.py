@@ -13,6 +13,12 @@ from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.fields import Fields
 from lightstage.formats.files import atomic_path, read_json, write_json
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
+from lightstage.formats.population import (
+    FACE_SCHEME,
+    Population,
+    read_population,
+    write_population,
+)
 from lightstage.formats.surface_points import (
     SurfacePoints,
     file_name,
@@ -21,7 +27,6 @@ from lightstage.formats.surface_points import (
 )
 
 SCHEMA = "lightstage.template/1"
-FACE_SCHEME = "mediapipe468"
 DEPTH_RATIOS = (0.3, 3.0)
 REGIONS = ("skin", "lips", "eyes", "ears", "hair")
 
@@ -60,6 +65,8 @@ class Template:
     """People's faces are so many times as deep, from the ears to the front, as the mesh's."""
     face_points: SurfacePoints | None = None
     """Where the face detector's 468 points are on the mesh, where the folder has them."""
+    population: Population | None = None
+    """The heads of people, where the folder has them."""
 
 
 def default_template_path() -> Path:
@@ -139,6 +146,7 @@ def load_template(path: Path) -> Template:
         maps=maps,
         depth_ratio=_depth_ratio(value.get("depth_ratio", 1.0), path / "template.json"),
         face_points=read_surface_points(points, count) if points.exists() else None,
+        population=read_population(path, count),
     )
 
 
@@ -149,6 +157,8 @@ def save_template(template: Template, path: Path) -> Path:
         write_exr(path / "maps" / f"{name}.exr", image)
     if template.face_points is not None:
         write_surface_points(template.face_points, path / file_name(FACE_SCHEME))
+    if template.population is not None:
+        write_population(template.population, path)
     if template.modes is not None:
         with atomic_path(path / "modes.npz") as beside:
             np.savez_compressed(

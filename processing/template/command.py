@@ -251,6 +251,44 @@ def transfer_command(
     finish(f"{out}: {summary}", {"out": str(out), **facts}, as_json)
 
 
+@app.command("population")
+def population_command(
+    other: Path = typer.Argument(
+        ..., metavar="OTHER", help="Template of a head model with modes.", show_default=False
+    ),
+    to: Path = typer.Option(..., "--to", help="Template that is given them.", show_default=False),
+    overwrite: bool = typer.Option(
+        False, "--overwrite", help="Replace a population that is there."
+    ),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Give a template another head model's people: `fit` then expects heads like theirs."""
+    from lightstage.errors import FormatError
+    from lightstage.formats.population import FILE, write_population
+    from lightstage.formats.template import load_template
+    from processing.template.config import PopulationConfig
+    from processing.template.population import population_of
+
+    template = load_template(to)
+    if template.population is not None and not overwrite:
+        raise FormatError(
+            to / FILE,
+            found=f"a population, of {template.population.source}",
+            expected="none yet",
+            hint="Pass --overwrite to replace it.",
+        )
+    with progress_bar("template population") as progress:
+        made, facts = population_of(template, load_template(other), PopulationConfig(), progress)
+        written = write_population(made, to)
+    finish(
+        f"{written}: {counted(facts['modes'], 'mode')}, people differ by "
+        f"{facts['deviation_mm']:.1f} mm (RMS), their mean head and the template's mesh by "
+        f"{facts['from_mesh_mm']:.1f} mm (median); now `lightstage-learning template-points`",
+        {"out": str(written), **facts},
+        as_json,
+    )
+
+
 def _import(
     title: str,
     made: Callable[[ImportConfig, ProgressCallback], tuple[Template, dict[str, Any]]],

@@ -99,3 +99,13 @@ class TransferConfig:
     coarsest: int = 4
     """Where texels of the new texture are larger, the old one is read at up to 2 to the power of
     this times its texels' side."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PopulationConfig:
+    """How another head model's people become a template's population."""
+
+    modes: int = 20
+    """The first of its identity modes; with 100 no shape from photographs was nearer."""
+    smooth_mm: float = 6.0
+    """Over so much the modes are smoothed."""

@@ -19,6 +19,7 @@ WITHOUT_OUTPUT = {
     "lightstage check",
     "sim stage",
     "processing template check",  # but for --picture
+    "processing template population",  # writes into the template that it is given
     "processing evaluate",  # writes into the folder that it reads
     "processing dataset add",  # writes into the store that it is given
     "processing dataset remove",

@@ -45,6 +45,7 @@ RIGHT: dict[str, dict[str, str]] = {
     "processing template transfer": {
         "maps": "mesh's maps", "--from": "template", "--to": "template", "--out": NEW,
     },
+    "processing template population": {"other": "template", "--to": "template"},
     "processing evaluate": {"out": "processed", "truth": "processed"},
     "processing dataset build": {"processed": "processed", "--out": NEW},
     "processing dataset publish": {"store": "store", "--about": "about", "--out": NEW},

@@ -11,7 +11,7 @@ import pytest
 from learning.maps import load_head
 from learning.photo.config import FitConfig
 from learning.photo.model import ShapeModel, shape_model
-from learning.photo.shape_fit import Places
+from learning.photo.shape_fit import Places, detector_places
 from learning.relight import render_head, shadows_of
 from lightstage.formats.mesh import read_mesh
 from lightstage.formats.processed import ProcessedFolder
@@ -39,10 +39,9 @@ def small(template: Template) -> ShapeModel:
 @pytest.fixture(scope="session")
 def places(template: Template) -> Places:
     """The detector's points, as far as the template has them."""
-    points = template.face_points
-    assert points is not None
-    there = points.triangles[:, 0] >= 0
-    return Places(points.triangles[there], points.weights[there], points.spread_mm[there])
+    found = detector_places(template)
+    assert found is not None
+    return found[0]
 
 
 @pytest.fixture(scope="session")

@@ -14,7 +14,7 @@ import pytest
 from learning import avatar
 from learning.photo.fit import joined
 from learning.photo.picture import read_photograph
-from learning.photo.shape_fit import Places
+from learning.photo.shape_fit import Places, detector_places
 from learning.photo.unwrap import unwrap
 from learning.render.uv import rasterise
 from lightstage.formats.environment import read_lights
@@ -43,9 +43,9 @@ def called(*words: str | Path) -> tuple[int, dict[str, Any]]:
 def marks(shot: Shot, template: Template, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The photograph's true points in the detector's scheme, where the template has them."""
     points = np.full((468, 2), np.nan)
-    known = template.face_points
+    known = detector_places(template)
     assert known is not None
-    points[known.triangles[:, 0] >= 0] = shot.landmarks_px
+    points[known[1]] = shot.landmarks_px
     path = tmp_path_factory.mktemp("marks") / "points.json"
     return write_points_px({shot.path.name: points}, path, "mediapipe468")
 

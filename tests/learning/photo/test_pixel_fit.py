@@ -125,7 +125,7 @@ def test_slopes_of_pixels_and_outlines_are_those_of_differences(
     size = fit.problem.size
     rng = np.random.default_rng(3)
     total = size + len(state.albedo) + len(state.light[0])
-    step = 1e-4 * rng.normal(size=total)
+    step = 5e-5 * rng.normal(size=total)
     step[size + len(state.albedo) :] *= 0.01
 
     def off(at: State) -> tuple[np.ndarray, np.ndarray]:
@@ -221,7 +221,7 @@ def test_pixels_bring_a_person_outside_the_modes_nearer(
     shot: Shot, template: Template, places: Places, network: WholeFaceNetwork
 ) -> None:
     # Without the template's modes the person is none that the model was made of.
-    config = FitConfig(identity_modes=0, pixel_rounds=2)
+    config = FitConfig(identity_modes=0, pixel_rounds=2, pixel_photographs=1)
     model, photo = shape_model(template, config), photograph(shot)
     alone, found = (
         shape_of(photo, template, places, network, how, model)
@@ -261,7 +261,7 @@ def test_a_photograph_that_shows_nothing_leaves_the_landmarks_shape(
 ) -> None:
     photo = photograph(shot)
     empty = dataclasses.replace(photo, rgb_linear=np.full_like(photo.rgb_linear, value))
-    config = dataclasses.replace(SMALL, pixel_rounds=1)
+    config = dataclasses.replace(SMALL, pixel_rounds=1, pixel_photographs=1)
     found = shape_of(empty, template, places, network, config, small)
     assert np.isfinite(found.meshes[0].vertices).all()
     assert np.isfinite(found.deviation_mm).all()

@@ -29,8 +29,9 @@ def test_committed_template_is_what_the_command_writes(written):
         "template.json",
     ]
     there = sorted(p.relative_to(committed).as_posix() for p in committed.rglob("*") if p.is_file())
-    # `lightstage-learning template-points` adds where the face detector's points lie.
-    assert there == sorted([*names, "mediapipe468.json"])
+    # `template-points` adds where the face detector's points lie, `template population` the people.
+    added = ["mediapipe468.json", "population.npz", "population_mediapipe468.json"]
+    assert there == sorted([*names, *added])
     new, old = load_template(written), load_template(committed)
     assert np.abs(new.mesh.vertices - old.mesh.vertices).max() < 2e-6
     assert np.array_equal(new.mesh.faces, old.mesh.faces)
