@@ -92,7 +92,8 @@ def infer_whole_face(
         largest_misfit: of a light that is taken for the texture's; a shape that is only near
             leaves more than a true one.
         network_sees: (rows, columns) bool, texels that the network is shown, which decide the
-            light and the tone; all that are photographed where None.
+            light and the tone; all that are photographed where None. A texture of which these are
+            stated is not examined for rows in reverse order.
         own: with refinement, what of the texture is the skin's own.
 
     Returns:
@@ -207,8 +208,10 @@ def look(
     photographed = covered & (texture.max(axis=2) > UNSEEN)
     seen = to_batch(photographed if network_sees is None else photographed & network_sees)
     small = _mean_over(to_batch(texture), seen, shape)
-    pattern = network.mean_log_albedo * (network.mean_position_mm != 0).any(dim=1, keepdim=True)
-    require_upright(_image(small), _image(pattern), named[0])
+    if network_sees is None:
+        # Else the caller made the texture, and knows its rows: half a face may look like anything.
+        pattern = network.mean_log_albedo * (network.mean_position_mm != 0).any(dim=1, keepdim=True)
+        require_upright(_image(small), _image(pattern), named[0])
     low_normal = _turned(unit(shrink(to_batch(normal), shape)), head_from_mesh)
     shown = (shrink(seen, shape) > 0.5).float()
     given = face_input(small * shown, low_normal, low_position, shown)

@@ -113,6 +113,12 @@ def test_a_texture_upside_down_or_of_another_shape_is_refused_and_an_encoded_one
         mesh, texture, _, _ = photographed(person)
         with pytest.raises(MapsError, match="upside down"):
             infer_whole_face(network, np.ascontiguousarray(texture[::-1]), mesh)
+        # Whoever states what the network sees has made the texture, and knows its rows.
+        turned = np.ascontiguousarray(texture[::-1])
+        sees = np.ones(turned.shape[:2], bool)
+        assert np.isfinite(
+            infer_whole_face(network, turned, mesh, network_sees=sees).maps["diffuse_albedo"]
+        ).all()
         with pytest.raises(MapsError, match="rows : columns = 96 : 64"):
             infer_whole_face(network, texture[:128], mesh)
     assert infer_whole_face(network, texture, mesh).notes == ()
