@@ -29,6 +29,7 @@ from learning.networks.whole_face import WholeFaceNetwork, face_input
 from learning.render.shading import unit
 from learning.render.uv import UvRaster, rasterise
 from learning.whole.detail import enlarged, with_detail
+from learning.whole.expected import expected_error
 from learning.whole.refine import (
     CAMERA_MM,
     LARGEST_MISFIT,
@@ -45,9 +46,6 @@ from lightstage.formats.mesh import Mesh
 FARTHEST_MM = 20.0
 """Mean distance of a head's texels from those of the mean person. Our people have 3 to 9 once they
 are aligned, a texture that is flipped or turned has 78 to 99."""
-GAP_ERROR = 1.3
-"""Error of a refined albedo where its texture did not show it, of the error elsewhere: our
-people's 1.3, ICT's 1.1, the scanned head's 1.8."""
 LEAST_TEXELS = 100
 """A head has about 4,000 at the network's size."""
 OTHER_LAYOUT = (
@@ -99,8 +97,9 @@ def infer_whole_face(
     Returns:
         Maps of the texture's size in the mesh's axes; zero where no surface is. Normals are the
         mesh's own, and where `mesostructure` found pores and folds, with these. Confidence
-        follows from the error that the network expects (a half at an error of `DISAGREEMENT` in
-        sRGB); it is 0 where the texture is black.
+        follows from the error that is expected (a half at an error of `DISAGREEMENT` in sRGB),
+        by the network or, of a refined albedo, by `expected_error`; it is 0 where the texture is
+        black.
 
     Raises:
         MapsError: a texture too small, black or badly exposed; a mesh that is flat, not of a head's
@@ -140,9 +139,10 @@ def infer_whole_face(
     else:
         diffuse = refined.diffuse_albedo
     specular = np.exp(enlarged(np.log(low_specular), rows, columns))
-    deviation = enlarged(looked.deviation, rows, columns)
-    if refined is not None:
-        deviation *= np.where(refined.known, np.float32(1), np.float32(GAP_ERROR))
+    if refined is None:
+        error = enlarged(looked.deviation, rows, columns)
+    else:
+        error = expected_error(diffuse, log_albedo, refined.deviation_log, refined.known)
     normals = (normal, normal)
     if refined is not None and refined.normals is not None:
         normals = tuple(turned @ head_from_mesh[:, :3] for turned in refined.normals)
@@ -151,7 +151,7 @@ def infer_whole_face(
         "specular_albedo": specular * covered,
         "diffuse_normal": normals[0],
         "specular_normal": normals[1],
-        "confidence": photographed * _trust(deviation),
+        "confidence": photographed * _trust(error),
     }
     return Inferred({n: m.astype(np.float32) for n, m in maps.items()}, 1, tuple(notes), light)
 
@@ -238,9 +238,9 @@ def in_mesh_axes(light: LightSet, head_from_mesh: np.ndarray) -> LightSet:
     return dataclasses.replace(light, position_mm=place, rgb=light.rgb * nearer[:, None])
 
 
-def _trust(deviation: np.ndarray) -> np.ndarray:
-    """0..1, a half where the network expects an error of `DISAGREEMENT`."""
-    found: np.ndarray = 1 / (1 + (deviation / DISAGREEMENT) ** 2)
+def _trust(error: np.ndarray) -> np.ndarray:
+    """0..1, a half where an error of `DISAGREEMENT` is expected."""
+    found: np.ndarray = 1 / (1 + (error / DISAGREEMENT) ** 2)
     return found
 
 
