@@ -20,7 +20,6 @@ from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
 from learning.photo.face_light import HARMONICS, Lit, irradiance
 from learning.photo.face_places import (
-    LUMINANCE,
     FacePlaces,
     face_places,
     normals_with_slopes,
@@ -36,6 +35,7 @@ from learning.render.uv import rasterise, spread_outside
 from learning.render.view import cast_from, sample_bilinear, scene_of
 from learning.whole.light import Light, LightFit, LitSurface
 from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.srgb import LUMINANCE
 from lightstage.formats.template import Template
 from lightstage.rig import Camera
 
