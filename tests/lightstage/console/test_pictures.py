@@ -1,0 +1,25 @@
+"""Figures of a photograph: of its counts, not of the cells in which they are shown."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lightstage.console.pictures import _cells
+
+BAYER = [[0, 1], [3, 2]]
+"""Red, green, green and blue of a quad, as LibRaw numbers them."""
+
+
+@pytest.mark.parametrize("longest_px", [8, 4, 2])
+def test_a_clipped_count_is_one_pixel_of_its_colour_however_large_the_cells_are(
+    longest_px: int,
+) -> None:
+    counts = np.full((16, 16), 500, np.uint16)
+    counts[0, 0] = counts[1, 2] = 1000  # a red one and a green one
+    black = np.zeros(4, np.float32)
+    rgb, full, clipped = _cells(counts, BAYER, b"RGBG", black, 1000.0, longest_px, 8)
+    assert rgb.shape == full.shape == (longest_px, longest_px, 3)
+    assert full[0, 0, 0]
+    assert full.sum() == 2
+    np.testing.assert_allclose(clipped, [1 / 64, 1 / 128, 0.0])
