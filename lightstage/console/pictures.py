@@ -40,7 +40,8 @@ class Facts:
     Attributes:
         width_px: of the photograph.
         height_px: the same.
-        clipped: share of each colour's pixels that are at white, of those read.
+        clipped: share of each colour's pixels that are at white, of those read; None of a
+            photograph that was developed already, in which they have no mark.
         mean: of all pixels, share of white.
         brightest: the brightest percent's green, share of white.
         histogram: (3, BINS) share of each colour's pixels, from black to white.
@@ -48,7 +49,7 @@ class Facts:
 
     width_px: int
     height_px: int
-    clipped: tuple[float, float, float]
+    clipped: tuple[float, float, float] | None
     mean: float
     brightest: float
     histogram: tuple[tuple[float, ...], ...]
@@ -75,14 +76,14 @@ class Counts:
     Attributes:
         rgb: (h, w, 3) shares of white.
         full: (h, w, 3) whether a cell holds a clipped count.
-        clipped: (3,) share of each colour's counts that are clipped, of those read.
+        clipped: (3,) share of each colour's counts that are clipped, of those read; or None.
         size_px: width and height of the photograph.
         balance: (3,) white balance, green 1.
     """
 
     rgb: np.ndarray
     full: np.ndarray
-    clipped: np.ndarray
+    clipped: np.ndarray | None
     size_px: tuple[int, int]
     balance: np.ndarray
 
@@ -140,11 +141,14 @@ def large(path: Path, longest_px: int) -> tuple[bytes, Facts]:
         tuple((np.histogram(np.clip(rgb[..., c], 0, 1), edges)[0] / rgb[..., c].size).tolist())
         for c in range(3)
     )
-    red, green, blue = (float(share) for share in counts.clipped)
+    clipped = None
+    if counts.clipped is not None:
+        red, green, blue = (float(share) for share in counts.clipped)
+        clipped = red, green, blue
     width, height = counts.size_px
     brightest = float(np.quantile(rgb[..., 1], 0.99))
     mean = float(rgb.mean())
-    return data, Facts(width, height, (red, green, blue), mean, brightest, histogram)
+    return data, Facts(width, height, clipped, mean, brightest, histogram)
 
 
 def focus(path: Path, other: Path | None = None) -> Focus:
@@ -214,7 +218,7 @@ def _linear(path: Path, longest_px: int) -> Counts:
     height, width = image.shape[:2]
     step = max(1, math.ceil(max(height, width) / longest_px))
     rgb = np.nan_to_num(image[::step, ::step, :3])
-    return Counts(rgb, np.zeros(rgb.shape, bool), np.zeros(3), (width, height), np.ones(3))
+    return Counts(rgb, np.zeros(rgb.shape, bool), None, (width, height), np.ones(3))
 
 
 def _raw(path: Path, longest_px: int, samples: int) -> Counts:

@@ -279,18 +279,25 @@ def actions(view: View, live: bool, starting: bool = False) -> list[Action]:
 
 def look_values(facts: Facts) -> dict[str, Any]:
     """The sentences and curves beside a large picture."""
-    clipped = [100 * share for share in facts.clipped]
-    worst = max(clipped)
     sentences = [
         f"{facts.width_px} x {facts.height_px} pixels.",
-        "Nothing is clipped."
-        if worst == 0
-        else f"Clipped (painted in stripes): red {two_digits(clipped[0])} %, green "
-        f"{two_digits(clipped[1])} %, blue {two_digits(clipped[2])} % of the pixels read.",
+        _clipped_words(facts.clipped),
         f"The brightest percent is at {two_digits(100 * facts.brightest)} % of white, the mean at "
         f"{two_digits(100 * facts.mean)} %.",
     ]
     return {"sentences": sentences, "curves": _curves(facts.histogram)}
+
+
+def _clipped_words(shares: tuple[float, float, float] | None) -> str:
+    if shares is None:
+        return "Whether pixels are clipped is not known: this photograph was developed already."
+    if max(shares) == 0:
+        return "Nothing is clipped."
+    red, green, blue = (two_digits(100 * share) for share in shares)
+    return (
+        f"Clipped (painted in stripes): red {red} %, green {green} %, blue {blue} % of the pixels "
+        "read."
+    )
 
 
 def focus_words(focus: Focus, other: str) -> list[str]:
