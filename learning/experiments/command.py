@@ -12,7 +12,7 @@ from typing import Any
 
 from learning.checkpoint import code_version
 from learning.devices import choose_device
-from learning.experiments.config import BOUNDS, ExperimentConfig, sized
+from learning.experiments.config import BOUNDS, ExperimentConfig, effective, sized
 from learning.experiments.cost import full_size_line, measure_full_size
 from learning.experiments.drive import run_all, stop_file
 from learning.experiments.people import Halves, halves_of
@@ -301,8 +301,10 @@ def _require_same(path: Path, about: dict[str, Any]) -> None:
             expected=f"{str(then.get('data_fingerprint'))[:12]}, as the experiment began",
             hint=f"Give the --data that it began with. {hint}",
         )
-    old, new = dict(then.get("config", {})), about["config"]
-    differing = [n for n in new if n not in MAY_GROW and old.get(n, new[n]) != new[n]]
+    new = about["config"]
+    old = {**new, **dict(then.get("config", {}))}
+    was, now = effective(old), effective(new)
+    differing = [n for n in new if n not in MAY_GROW and was.get(n) != now.get(n)]
     if differing:
         raise ConfigError(
             path,

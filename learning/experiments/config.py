@@ -16,10 +16,10 @@ class ExperimentConfig:
     Attributes:
         published: whether networks, losses and rates are those of the presets `paper` and
             `avatarme` in place of `demo` and `avatarme-small`; then `epochs` holds in place of
-            `steps`, of which only counts whether it is 0, and values of `SMALL_ONLY` are refused.
+            `steps`, which may only be 0, and values of `SMALL_ONLY` are refused.
         steps: number of steps of each training of equal steps; 0 for none of these.
         seconds: seconds of the steps of each training of equal time; 0 for none of these.
-        epochs: number of epochs, in place of `steps`, with `published`.
+        epochs: number of epochs, in place of `steps`, with `published`; refused without it.
         seeds: number of trainings of each setting, which differ by their seed alone.
         people: number of people trained on, at most; 0 for all that are not held out.
         held_out: number of people who are measured and never trained on, the last ones by name.
@@ -134,21 +134,22 @@ def sized(size: str, overrides: dict[str, Any], where: str) -> ExperimentConfig:
         where: what to name in errors.
 
     Raises:
-        ConfigError: an unknown size or key, a value out of bounds, a size of small networks with
-            the published ones, or no training at all.
+        ConfigError: an unknown size or key, a value out of bounds, one that no training of the
+            experiment has, or no training at all.
     """
     if size not in SIZES:
         raise ConfigError("--size", found=repr(size), expected=f"one of {', '.join(SIZES)}")
     config = make_config(ExperimentConfig, {**SIZES[size], **overrides}, where)
     require_bounds(config, where, BOUNDS)
-    unused = [name for name in SMALL_ONLY if name in overrides]
-    if config.published and unused:
+    if config.published:
+        _refuse_small(config, overrides, where)
+    elif "epochs" in overrides:
         raise ConfigError(
             where,
-            field=", ".join(unused),
-            found="a value",
-            expected="none with published networks, which have sizes of their own",
-            hint="Leave it out, or choose another --size.",
+            field="epochs",
+            found=str(config.epochs),
+            expected="no value without published networks, which alone are trained for epochs",
+            hint="Set steps, or choose --size full.",
         )
     if not config.steps and not config.seconds:
         raise ConfigError(
@@ -159,3 +160,44 @@ def sized(size: str, overrides: dict[str, Any], where: str) -> ExperimentConfig:
             hint="Trainings are compared at equal steps, at equal time, or both.",
         )
     return config
+
+
+def effective(values: dict[str, Any]) -> dict[str, Any]:
+    """Those values of an experiment by name that change its trainings.
+
+    Args:
+        values: of an `ExperimentConfig`, by name.
+    """
+    if not values.get("published"):
+        return {name: value for name, value in values.items() if name != "epochs"}
+    found = {name: value for name, value in values.items() if name not in SMALL_ONLY}
+    return {**found, "steps": bool(found.get("steps"))}
+
+
+def _refuse_small(config: ExperimentConfig, overrides: dict[str, Any], where: str) -> None:
+    """Refuse values that trainings of published networks do not have."""
+    unused = [name for name in SMALL_ONLY if name in overrides]
+    if unused:
+        raise ConfigError(
+            where,
+            field=", ".join(unused),
+            found="a value",
+            expected="none with published networks, which have sizes of their own",
+            hint="Leave it out, or choose another --size.",
+        )
+    if overrides.get("steps"):
+        raise ConfigError(
+            where,
+            field="steps",
+            found=str(config.steps),
+            expected="0 or no value with published networks, which are trained for epochs",
+            hint="Set epochs, or choose another --size.",
+        )
+    if "epochs" in overrides and not config.steps:
+        raise ConfigError(
+            where,
+            field="epochs",
+            found=f"{config.epochs}, and 0 steps",
+            expected="no value where steps is 0, as trainings of equal time have no epochs",
+            hint="Leave out one of the two.",
+        )

@@ -17,6 +17,7 @@ from learning.encoding import (
     encode_colour,
     turn,
 )
+from lightstage.formats.srgb import LUMINANCE
 
 DIFFUSE_ALBEDO, SPECULAR_ALBEDO = "diffuse_albedo", "specular_albedo"
 DIFFUSE_NORMAL, SPECULAR_NORMAL = "diffuse_normal", "specular_normal"
@@ -30,8 +31,8 @@ PARTS: dict[str, tuple[int, slice]] = {
 those before it found."""
 DEPTH_MM = 150.0
 """Depth, encoded as 1: from the head's middle toward the front; a head has up to about 130."""
-LUMA = (0.2126, 0.7152, 0.0722)
-"""Shares of encoded red, green and blue in a grey picture [IEC61966]."""
+LUMA = tuple(LUMINANCE.tolist())
+"""Shares of encoded red, green and blue in a grey picture: the luminance's of linear ones."""
 
 
 @dataclasses.dataclass(frozen=True)

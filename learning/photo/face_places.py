@@ -16,6 +16,7 @@ from learning.photo.config import FitConfig
 from learning.photo.model import NOSE_TIP, ShapeModel, spread_out
 from learning.render.view import sample_bilinear
 from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.srgb import LUMINANCE
 from lightstage.formats.template import Template
 
 PLACES = 2000
@@ -33,7 +34,6 @@ TONE_DEVIATION = 3.0
 """Of the logarithm of a person's tone, which pixels alone do not separate from the light."""
 BACKWARD = -0.2
 """Places of the mean shape whose normals point farther backward are left out."""
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 TINY = 1e-6
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from learning.networks.whole_face import WholeFaceNetwork
+from lightstage.formats.srgb import LUMINANCE
 
 GREY = 0.03
 """Largest share by which a pixel's channels differ in a photograph without colour, ..."""
@@ -12,8 +13,6 @@ COLOURFUL = 0.01
 """... but for so many of its pixels: a JPEG's blocks are a little off."""
 DARK = 0.02
 """Of the photograph's bright pixels: below it a pixel's colour is noise."""
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Of linear sRGB [IEC61966]."""
 
 
 def has_no_colour(rgb_linear: np.ndarray) -> bool:

@@ -10,12 +10,11 @@ answer.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from learning.gauss_newton import descended
 from learning.photo.config import FitConfig
 from learning.photo.model import ShapeModel
 from lightstage.rig import Camera
@@ -132,47 +131,6 @@ class Unknowns:
         )
 
 
-Place = TypeVar("Place")
-
-
-def descended(
-    here: Place,
-    equations: Callable[[Place], tuple[float, np.ndarray, np.ndarray]],
-    moved: Callable[[Place, np.ndarray], Place],
-    steps: int = ROUNDS,
-    settled: float = SETTLED,
-) -> tuple[Place, np.ndarray]:
-    """Damped Gauss-Newton steps as long as the cost falls [Marquardt1963].
-
-    Args:
-        here: where to begin.
-        equations: cost, normal matrix and half the gradient at a place.
-        moved: a place after a step.
-        steps: at most.
-        settled: a step that lowers the cost by less than this share is the last.
-
-    Returns:
-        The place, and the normal matrix there.
-    """
-    damping = 1e-3
-    cost, matrix, right = equations(here)
-    for _ in range(steps):
-        step = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), -right)
-        there = moved(here, step)
-        new_cost, new_matrix, new_right = equations(there)
-        if not new_cost < cost:
-            damping *= 8
-            if damping > 1e6:
-                break
-            continue
-        gain = (cost - new_cost) / max(cost, 1e-12)
-        here, cost, matrix, right = there, new_cost, new_matrix, new_right
-        damping = max(damping / 5, 1e-9)
-        if gain < settled:
-            break
-    return here, matrix
-
-
 class Problem:
     """The equations of a person and the landmarks of one or several photographs."""
 
@@ -222,7 +180,9 @@ class Problem:
 
     def solved(self) -> tuple[Unknowns, np.ndarray]:
         """What the landmarks determine: the unknowns, and their covariance."""
-        here, matrix = descended(self.begin(), self.equations, Unknowns.moved)
+        here, _, matrix = descended(
+            self.begin(), self.equations, Unknowns.moved, ROUNDS, least_gain=SETTLED
+        )
         return here, np.linalg.inv(matrix)
 
     def begin(self) -> Unknowns:

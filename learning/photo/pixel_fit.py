@@ -16,17 +16,17 @@ import time
 import cv2
 import numpy as np
 
+from learning.gauss_newton import descended
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
 from learning.photo.face_light import HARMONICS, Lit, irradiance
 from learning.photo.face_places import (
-    LUMINANCE,
     FacePlaces,
     face_places,
     normals_with_slopes,
     sampled_texels,
 )
-from learning.photo.landmark_fit import Problem, Unknowns, camera_of, descended, projected
+from learning.photo.landmark_fit import Problem, Unknowns, camera_of, projected
 from learning.photo.model import ShapeModel
 from learning.photo.outline import Rims, find_rims
 from learning.photo.sampling import sampled
@@ -36,6 +36,7 @@ from learning.render.uv import rasterise, spread_outside
 from learning.render.view import cast_from, sample_bilinear, scene_of
 from learning.whole.light import Light, LightFit, LitSurface
 from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.srgb import LUMINANCE
 from lightstage.formats.template import Template
 from lightstage.rig import Camera
 
@@ -165,12 +166,12 @@ class PixelFit:
         matrix = np.eye(size)
         for index in range(self.config.pixel_rounds):
             state = self.seen_anew(state, BLUR_MM[min(index, len(BLUR_MM) - 1)])
-            state, matrix = descended(
+            state, _, matrix = descended(
                 state,
                 self.equations,
                 lambda here, step: here.moved(step, size),
                 STEPS,
-                SETTLED,
+                least_gain=SETTLED,
             )
         return state.at, np.linalg.inv(matrix)[:size, :size]
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from lightstage.formats.files import atomic_path
+from lightstage.formats.npz import UNREADABLE_NPZ
 
 ROUNDED_MM = 0.01
 """Places of lamps that differ by less are the same: sines differ by their last bit."""
@@ -75,7 +75,7 @@ def _read(path: Path, size: tuple[int, ...]) -> np.ndarray | None:
     try:
         with np.load(path, allow_pickle=False) as file:
             bits = file["bits"]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except UNREADABLE_NPZ:
         return None
     count = int(np.prod(size))
     if bits.dtype != np.uint8 or bits.shape != (-(-count // 8),):

@@ -19,7 +19,8 @@ from torch import Tensor
 from learning.errors import MapsError
 from learning.render.environments import Environment
 from learning.render.light_dome import harmonics
-from lightstage.formats.panorama import LUMINANCE, read_panorama, require_panorama
+from lightstage.formats.panorama import read_panorama, require_panorama
+from lightstage.formats.srgb import LUMINANCE
 
 LOBE = (math.pi, 2 * math.pi / 3, math.pi / 4, 0.0, -math.pi / 24)
 """How a clamped cosine weighs each band of light [Ramamoorthi2001]."""

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from learning.gauss_newton import descended
 from learning.networks.whole_face import DARKEST
 from learning.whole.light import DARK
 
@@ -19,7 +20,8 @@ ROUNDS = 3
 """So often it is measured anew how far texels are off."""
 STEPS = 30
 SETTLED = 1e-3
-"""A step that moves no unknown by more than this is the last."""
+"""A step that moves no unknown by as much is the last."""
+LEAST_DAMPING = 1e-6
 TOGETHER = 150.0
 """So many texels err as one: what is not modelled is smooth. At 40 people who were not trained on
 come out lighter than they are where their normals are off; 150 costs our own people little."""
@@ -120,28 +122,8 @@ def explain(
     values = problem.start()
     for _ in range(ROUNDS):
         problem.set_outlier_scale(values)
-        values, cost, normal = _descended(problem, values)
+        values, cost, normal = problem.descended(values)
     return problem.answer(values, np.linalg.inv(normal), cost)
-
-
-def _descended(problem: _Problem, values: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
-    """Damped Gauss-Newton steps as long as the cost falls [Marquardt1963]."""
-    damping = 1e-3
-    cost, normal, right = problem.linear(values)
-    for _ in range(STEPS):
-        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), right)
-        tried = values + np.clip(step, -1.0, 1.0)
-        new = problem.linear(tried)
-        if new[0] <= cost:
-            values, (cost, normal, right) = tried, new
-            damping = max(damping / 5, 1e-6)
-            if np.abs(step).max() < SETTLED:
-                break
-        else:
-            damping *= 8
-            if damping > 1e6:
-                break
-    return values, cost, normal
 
 
 class _Problem:
@@ -198,8 +180,19 @@ class _Problem:
         counts = self._trust.sum(axis=1)
         return counts, (self._trust * off**2).sum(axis=1) / np.maximum(counts, 1e-12)
 
-    def linear(self, values: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """The cost, and the normal equations of a Gauss-Newton step from there."""
+    def descended(self, values: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+        """Values of the unknowns of less cost, and their cost and normal matrix."""
+        return descended(
+            values,
+            self.equations,
+            lambda here, step: here + np.clip(step, -1.0, 1.0),
+            STEPS,
+            least_step=SETTLED,
+            least_damping=LEAST_DAMPING,
+        )
+
+    def equations(self, values: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Cost, normal matrix and half the gradient at values of the unknowns."""
         along, strength, gloss = self._parts(values)
         modes, count, lamps = self._skin.modes, len(along), len(strength)
         rgb = np.exp(strength)
@@ -216,7 +209,7 @@ class _Problem:
         trust = self._trust * (scale / (1 + ratio))[:, None]
 
         size = count + 3 * lamps + 1
-        normal, right = np.zeros((size, size)), np.zeros(size)
+        normal, slope = np.zeros((size, size)), np.zeros(size)
         columns = np.zeros((len(off), size))
         for c in range(3):
             columns[:] = 0.0
@@ -227,11 +220,11 @@ class _Problem:
             columns[:, -1] = mirrored[:, c] / made[:, c]
             weighted = columns * trust[:, c, None]
             normal += weighted.T @ columns
-            right += weighted.T @ off[:, c]
-        return self._with_known(values, cost, normal, right)
+            slope -= weighted.T @ off[:, c]
+        return self._with_known(values, cost, normal, slope)
 
     def _with_known(
-        self, values: np.ndarray, cost: float, normal: np.ndarray, right: np.ndarray
+        self, values: np.ndarray, cost: float, normal: np.ndarray, slope: np.ndarray
     ) -> tuple[float, np.ndarray, np.ndarray]:
         """The same with what is known before."""
         along, strength, gloss = self._parts(values)
@@ -239,9 +232,9 @@ class _Problem:
         beside = along - self._skin.answer
         cost += float(beside @ self._certain @ beside) + (gloss / GLOSS) ** 2
         normal[:count, :count] += self._certain
-        right[:count] -= self._certain @ beside
+        slope[:count] += self._certain @ beside
         normal[-1, -1] += 1 / GLOSS**2
-        right[-1] -= gloss / GLOSS**2
+        slope[-1] += gloss / GLOSS**2
         # Of each lamp: how far its channels are from their mean, and that from where it began.
         grey = np.full((3, 3), 1 / 3)
         metric = (np.eye(3) - grey) / TINT**2 + grey / STRENGTH**2
@@ -250,8 +243,8 @@ class _Problem:
             here = slice(count + 3 * index, count + 3 * index + 3)
             cost += float(moved @ metric @ moved)
             normal[here, here] += metric
-            right[here] -= metric @ moved
-        return cost, normal, right
+            slope[here] += metric @ moved
+        return cost, normal, slope
 
     def _parts(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         count = len(self._begin.along)

@@ -149,6 +149,9 @@ def capture_command(
         try_folder("--plan", out)
     elif take is not None:
         raise ConfigError("--take", found=repr(take), expected="--plan beside it")
+    if allow_stale and calibration is None:
+        given = ", ".join(map(repr, allow_stale))
+        raise ConfigError("--allow-stale", found=given, expected="--calibration beside it")
     if out is None:
         raise ConfigError(
             "--out", found="nothing", expected="the session's folder, or --plan with a day's plan"

@@ -18,8 +18,9 @@ from lightstage.capture.command import (
 )
 from lightstage.capture.config import read_config
 from lightstage.capture.session_run import Order, config_of, unfinished
-from lightstage.commands import JsonFlag
+from lightstage.commands import ConsentsOption, JsonFlag
 from lightstage.errors import ConfigError, FormatError, LightstageError, one_error
+from lightstage.formats.consents import require_consents
 from lightstage.leds.address import LEDS_HELP
 from lightstage.rig import Rig
 from lightstage.session import read_journal
@@ -44,6 +45,7 @@ def retake_command(
     unattended: bool = typer.Option(False, "--unattended", help="Ask nobody; decide by rule."),
     attended: Attended = False,
     ignore_clock: IgnoreClock = False,
+    consents: Path | None = ConsentsOption,
     config: Path | None = typer.Option(None, help="TOML with other values than the session's."),
     as_json: bool = JsonFlag,
 ) -> None:
@@ -54,6 +56,7 @@ def retake_command(
     """
     require_one_rule(attended, unattended)
     rig, order = order_retake(session, pattern.split(","), camera or [])
+    require_consents(consents, "capture", {order.subject: order.consent})
     own = config_of(session) if config is None else None
     settings = read_config(
         config, own, ignore_clock=ignore_clock, delete_from_cameras=delete or None

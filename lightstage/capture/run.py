@@ -40,9 +40,9 @@ class CaptureReport:
         accepted: patterns of the session whose faults the operator accepted.
         accepted_findings: how many faults these are.
         seconds: from the first light to the last journal line.
-        lit_s: of these, waiting for the lights' acknowledgement.
+        lit_s: of these, waiting until the light may change, and for the lights' acknowledgement.
         exposed_s: of these, from the first trigger to the last picture of each shot.
-        paused_s: of these, waiting until the light may change, or the operator.
+        paused_s: of these, waiting for the operator: in a pause, or for an answer.
         overhead_s: what is left: download, writing, hashing, checks, journal.
         max_skew_s: largest time between the first and the last trigger of one shot.
         skew: of each camera against the others, over all shots.
@@ -231,7 +231,9 @@ class Run:
         self._lights.dark()
         findings = [dataclasses.asdict(each) for each in bad]
         self._writer.note("asked", pattern=pattern, findings=findings)
+        asked_s = time.monotonic()
         decision = self._operator.decide(bad, left)
+        self._count(paused_s=time.monotonic() - asked_s)
         self._writer.note("answered", pattern=pattern, do=decision)
         return decision
 

@@ -8,6 +8,7 @@ import concurrent.futures
 import importlib
 import multiprocessing
 import threading
+import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -23,7 +24,7 @@ LARGE_KEPT = 4
 
 
 class Album:
-    """Makes each picture once; a process that a broken photograph ends is replaced.
+    """Makes each picture once; a process that a broken photograph ends or holds up is replaced.
 
     Args:
         config: sizes and numbers.
@@ -33,6 +34,8 @@ class Album:
         self._config = config
         self._lock = threading.Lock()
         self._pool: concurrent.futures.ProcessPoolExecutor | None = None
+        # Those whose processes were ended for one that hung: the others' pictures are made anew.
+        self._ended: weakref.WeakSet[concurrent.futures.ProcessPoolExecutor] = weakref.WeakSet()
         self._small = _Kept(config.thumbnails)
         self._large = _Kept(LARGE_KEPT)
         self._focus = _Kept(config.thumbnails)
@@ -85,22 +88,37 @@ class Album:
         with self._lock:
             pool, self._pool = self._pool, None
         if pool is not None:
-            pool.shutdown(wait=False, cancel_futures=True)
+            _end(pool, cancel=True)
 
     async def _make(self, path: Path, make: Callable[..., Any], *arguments: Any) -> Any:
-        pool = self._executor()
-        try:
-            work = asyncio.wrap_future(pool.submit(make, *arguments))
-            return await asyncio.wait_for(work, self._config.picture_s)
-        except BrokenProcessPool:
-            with self._lock:
-                self._pool = None if self._pool is pool else self._pool
-            raise FormatError(
-                path, found="a file that ends the program that reads it", expected="a photograph"
-            ) from None
-        except TimeoutError:
-            found = f"no picture of it within {self._config.picture_s:g} s"
-            raise FormatError(path, found=found, expected="a photograph") from None
+        while True:
+            pool = self._executor()
+            work: concurrent.futures.Future[Any] | None = None
+            try:
+                work = pool.submit(make, *arguments)
+                return await asyncio.wait_for(asyncio.wrap_future(work), self._config.picture_s)
+            except BrokenProcessPool:
+                self._drop(pool)
+                if pool in self._ended:
+                    continue
+                raise FormatError(
+                    path,
+                    found="a file that ends the program that reads it",
+                    expected="a photograph",
+                ) from None
+            except TimeoutError:
+                if work is not None and not work.cancelled():
+                    # It is being read still, and may be for ever: nothing else ends that.
+                    self._ended.add(pool)
+                    self._drop(pool)
+                    _end(pool, cancel=False)
+                found = f"no picture of it within {self._config.picture_s:g} s"
+                raise FormatError(path, found=found, expected="a photograph") from None
+
+    def _drop(self, pool: concurrent.futures.ProcessPoolExecutor) -> None:
+        """Have the next picture made by new processes."""
+        with self._lock:
+            self._pool = None if self._pool is pool else self._pool
 
     def _executor(self) -> concurrent.futures.ProcessPoolExecutor:
         with self._lock:
@@ -111,6 +129,19 @@ class Album:
                     self._config.makers, context, initializer=behind
                 )
             return self._pool
+
+
+def _end(pool: concurrent.futures.ProcessPoolExecutor, cancel: bool) -> None:
+    """End processes, also one that hangs, for which the server's own end would wait.
+
+    Args:
+        pool: theirs.
+        cancel: whether work that waits for them is cancelled, not failed.
+    """
+    processes = list((pool._processes or {}).values())
+    pool.shutdown(wait=False, cancel_futures=cancel)
+    for process in processes:
+        process.kill()
 
 
 def behind_is_ready() -> bool:

@@ -278,7 +278,9 @@ class Pages:
         if found is not None:
             try:
                 _, facts = await self._desk.album.sums(found[1])
-                values |= {"pictured": True, "words": showing.sum_words(facts, found[0])}
+                followed = await _away(self._desk.followed, request.path_params["name"])
+                words = showing.sum_words(facts, found[0], followed.max_misfit)
+                values |= {"pictured": True, "words": words}
             except FormatError as error:
                 values["words"] = [f"Sum of light: not known. {why_not(error)}"]
         return self._part(request, "sum.html", values)
@@ -325,7 +327,9 @@ class Pages:
 
     def _device_values(self) -> dict[str, Any]:
         running = self._desk.running()
-        values = showing.device_values(self._desk.runner.state(LOOK), time.time())
+        state = self._desk.runner.state(LOOK)
+        facts = "" if state is None or state.running else self._desk.runner.facts(state.job)
+        values = showing.device_values(state, facts, time.time())
         values |= {"running": running, "stage": self._desk.stage, "captured": None, "budget": None}
         if running and (self._desk.folder / running / "journal.jsonl").exists():
             followed = self._desk.followed(running)

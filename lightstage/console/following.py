@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lightstage.checks.config import ChecksConfig
 from lightstage.checks.sums import Sum, find_sums
 from lightstage.console.warmth import Budget, Warmth, levels_of
 from lightstage.errors import FormatError
@@ -68,6 +69,9 @@ class Followed:
         root: its folder.
         kept: number of last lines that are kept for pages that reconnect.
 
+    Attributes:
+        max_misfit: the largest misfit of a sum of light that its checks allow, a share.
+
     Raises:
         FormatError: no journal.
     """
@@ -82,6 +86,7 @@ class Followed:
         self._warmth = Warmth()
         self._levels: dict[str, np.ndarray] = {}
         self._events: collections.deque[Event] = collections.deque(maxlen=kept)
+        self.max_misfit = ChecksConfig().max_misfit_share
         self._socket = ""
         self._written_s = -float("inf")
         self._tried_s = -float("inf")
@@ -102,9 +107,18 @@ class Followed:
             now = time.monotonic()
             if lines and not self._first:
                 self._written_s = now
+            elif self._first and not self._socket:  # it may have begun just now
+                self._written_s = now - self._age_s()
             self._first = False
             if not self.view.over or self.view.phase == "gone":
                 self._try(now)
+
+    def _age_s(self) -> float:
+        """Seconds since the journal was written."""
+        try:
+            return max(0.0, time.time() - (self.root / JOURNAL).stat().st_mtime)
+        except OSError:
+            return float("inf")
 
     def _try(self, now: float) -> None:
         if now - self._tried_s < ALIVE_S:
@@ -120,6 +134,7 @@ class Followed:
         self._warmth.receive(line, self.view.pattern is not None)
         if event in ("begin", "resume"):
             self._socket, self._still, self._live = "", False, False
+            self.max_misfit = _max_misfit(line)
         self._socket = text_of(line, "socket") or self._socket
         if event in ("end", "aborted"):
             self._live = False
@@ -199,6 +214,14 @@ class Followed:
     def after(self, number: int) -> list[Event]:
         """The lines after one of this id, as far as they are kept."""
         return [event for event in list(self._events) if event.id > number]
+
+
+def _max_misfit(line: Mapping[str, Any]) -> float:
+    """The limit of the checks that a line ``begin`` or ``resume`` has, else the default one."""
+    config = line.get("config")
+    checks = config.get("checks") if isinstance(config, dict) else None
+    found = number_of(checks, "max_misfit_share") if isinstance(checks, dict) else None
+    return ChecksConfig().max_misfit_share if found is None else found
 
 
 class Following:

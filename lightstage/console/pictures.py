@@ -40,7 +40,8 @@ class Facts:
     Attributes:
         width_px: of the photograph.
         height_px: the same.
-        clipped: share of each colour's pixels at white.
+        clipped: share of each colour's pixels that are at white, of those read; None of a
+            photograph that was developed already, in which they have no mark.
         mean: of all pixels, share of white.
         brightest: the brightest percent's green, share of white.
         histogram: (3, BINS) share of each colour's pixels, from black to white.
@@ -48,7 +49,7 @@ class Facts:
 
     width_px: int
     height_px: int
-    clipped: tuple[float, float, float]
+    clipped: tuple[float, float, float] | None
     mean: float
     brightest: float
     histogram: tuple[tuple[float, ...], ...]
@@ -75,12 +76,14 @@ class Counts:
     Attributes:
         rgb: (h, w, 3) shares of white.
         full: (h, w, 3) whether a cell holds a clipped count.
+        clipped: (3,) share of each colour's counts that are clipped, of those read; or None.
         size_px: width and height of the photograph.
         balance: (3,) white balance, green 1.
     """
 
     rgb: np.ndarray
     full: np.ndarray
+    clipped: np.ndarray | None
     size_px: tuple[int, int]
     balance: np.ndarray
 
@@ -138,11 +141,14 @@ def large(path: Path, longest_px: int) -> tuple[bytes, Facts]:
         tuple((np.histogram(np.clip(rgb[..., c], 0, 1), edges)[0] / rgb[..., c].size).tolist())
         for c in range(3)
     )
-    red, green, blue = (float(counts.full[..., c].mean()) for c in range(3))
+    clipped = None
+    if counts.clipped is not None:
+        red, green, blue = (float(share) for share in counts.clipped)
+        clipped = red, green, blue
     width, height = counts.size_px
     brightest = float(np.quantile(rgb[..., 1], 0.99))
     mean = float(rgb.mean())
-    return data, Facts(width, height, (red, green, blue), mean, brightest, histogram)
+    return data, Facts(width, height, clipped, mean, brightest, histogram)
 
 
 def focus(path: Path, other: Path | None = None) -> Focus:
@@ -212,7 +218,7 @@ def _linear(path: Path, longest_px: int) -> Counts:
     height, width = image.shape[:2]
     step = max(1, math.ceil(max(height, width) / longest_px))
     rgb = np.nan_to_num(image[::step, ::step, :3])
-    return Counts(rgb, np.zeros(rgb.shape, bool), (width, height), np.ones(3))
+    return Counts(rgb, np.zeros(rgb.shape, bool), None, (width, height), np.ones(3))
 
 
 def _raw(path: Path, longest_px: int, samples: int) -> Counts:
@@ -230,14 +236,15 @@ def _raw(path: Path, longest_px: int, samples: int) -> Counts:
             kinds = [[int(raw.raw_color(top + y, left + x)) for x in (0, 1)] for y in (0, 1)]
             if counts.ndim != 2 or min(counts.shape) < 2:
                 raise ValueError("no mosaic of a sensor")
-            rgb, full = _cells(counts, kinds, letters, black, white, longest_px, samples)
+            cells = _cells(counts, kinds, letters, black, white, longest_px, samples)
     except (rawpy.LibRawError, ValueError, OSError, TypeError) as error:
         raise unreadable_raw(path, error) from None
+    rgb, full, clipped = cells
     turn = of_libraw(sizes.flip)
     rows, columns = turn.shape((sizes.height, sizes.width))
     good = np.isfinite(balance).all() and (balance > 0).all()
     balance = balance / balance[1] if good else np.ones(3)
-    return Counts(turn.upright(rgb), turn.upright(full), (columns, rows), balance)
+    return Counts(turn.upright(rgb), turn.upright(full), clipped, (columns, rows), balance)
 
 
 def _cells(
@@ -248,8 +255,8 @@ def _cells(
     white: float,
     longest_px: int,
     samples: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Cells of quads as shares of white, and which of them hold a clipped count.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cells of quads as shares of white, which of them hold a clipped count, and its share.
 
     Of a large cell, `samples` x `samples` quads are read: a small picture needs no more.
     """
@@ -259,6 +266,7 @@ def _cells(
     places = np.unique(np.linspace(0, cell - 1, min(samples, cell)).round().astype(int))
     total = np.zeros((rows, columns, 3), np.float32)
     number = np.zeros(3)
+    clipped = np.zeros(3)
     full = np.zeros((rows, columns, 3), bool)
     for y in (0, 1):
         for x in (0, 1):
@@ -271,13 +279,16 @@ def _cells(
                     part = counts[2 * down + y :: 2 * cell, 2 * right + x :: 2 * cell]
                     part = part[:rows, :columns]
                     total[..., colour] += (part - black[kind % len(black)]) / span
-                    full[..., colour] |= part >= white
+                    at_white = part >= white
+                    full[..., colour] |= at_white
+                    clipped[colour] += at_white.mean()
                     number[colour] += 1
+    clipped /= np.maximum(number, 1)
     known = number > 0
     total[..., known] /= number[known].astype(np.float32)
     # A colour that the sensor lacks, as a grey one does, gets the mean of the others.
     total[..., ~known] = total[..., known].mean(axis=2, keepdims=True)
-    return total, full
+    return total, full, clipped
 
 
 def _shown(counts: Counts) -> np.ndarray:

@@ -24,7 +24,9 @@ FOLDER = ".console"
 INTERRUPTED = (130, -signal.SIGINT, -signal.SIGTERM)
 """Exit codes of a command that was stopped: in order, or before Python had started it."""
 LOG_BYTES = 8192
-"""Bytes of a command's output that are read, from its end."""
+"""Bytes of a command's output that are shown, from its end."""
+FACTS_BYTES = 1 << 20
+"""Bytes of the longest line of facts: a check of the devices has some hundred for each finding."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,6 +150,10 @@ class Runner:
                 return printable_lines(file.read().decode(errors="replace").strip(), most)
         except OSError:
             return ""
+
+    def facts(self, job: Job) -> str:
+        """The whole last line of a command's output, in which `--json` has its facts."""
+        return self.output(job, FACTS_BYTES).rpartition("\n")[2]
 
     def _path(self, kind: str) -> Path:
         return self._folder / f"{kind}.json"

@@ -6,7 +6,6 @@ import datetime
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from lightstage.checks.config import ChecksConfig
 from lightstage.checks.sums import Sum
 from lightstage.console.following import Followed
 from lightstage.console.pictures import BINS, Facts, Focus
@@ -280,18 +279,25 @@ def actions(view: View, live: bool, starting: bool = False) -> list[Action]:
 
 def look_values(facts: Facts) -> dict[str, Any]:
     """The sentences and curves beside a large picture."""
-    clipped = [100 * share for share in facts.clipped]
-    worst = max(clipped)
     sentences = [
         f"{facts.width_px} x {facts.height_px} pixels.",
-        "Nothing is clipped."
-        if worst == 0
-        else f"Clipped (painted in stripes): red {two_digits(clipped[0])} %, green "
-        f"{two_digits(clipped[1])} %, blue {two_digits(clipped[2])} % of the pixels read.",
+        _clipped_words(facts.clipped),
         f"The brightest percent is at {two_digits(100 * facts.brightest)} % of white, the mean at "
         f"{two_digits(100 * facts.mean)} %.",
     ]
     return {"sentences": sentences, "curves": _curves(facts.histogram)}
+
+
+def _clipped_words(shares: tuple[float, float, float] | None) -> str:
+    if shares is None:
+        return "Whether pixels are clipped is not known: this photograph was developed already."
+    if max(shares) == 0:
+        return "Nothing is clipped."
+    red, green, blue = (two_digits(100 * share) for share in shares)
+    return (
+        f"Clipped (painted in stripes): red {red} %, green {green} %, blue {blue} % of the pixels "
+        "read."
+    )
 
 
 def focus_words(focus: Focus, other: str) -> list[str]:
@@ -310,19 +316,24 @@ def focus_words(focus: Focus, other: str) -> list[str]:
     return sentences
 
 
-def sum_words(facts: SumFacts, which: Sum) -> list[str]:
-    """How well light adds up, in sentences."""
-    limits = ChecksConfig()
+def sum_words(facts: SumFacts, which: Sum, max_misfit: float) -> list[str]:
+    """How well light adds up, in sentences.
+
+    Args:
+        facts: of the photographs.
+        which: the patterns.
+        max_misfit: the largest misfit that the session's checks allow, a share.
+    """
     first, second, whole = which.patterns
     if facts.off is None or facts.misfit is None:
         sentences = [f"{first} and {second} against {whole}: too little is lit to compare them."]
     else:
-        bad = facts.misfit > limits.max_misfit_share
+        bad = facts.misfit > max_misfit
         sentences = [
             f"{'! ' if bad else ''}{first} and {second} together differ from {whole} by "
             f"{two_digits(100 * facts.off)} % on average, by {two_digits(100 * facts.misfit)} % "
             "after the best factor of each "
-            f"(the checks allow {two_digits(100 * limits.max_misfit_share)} % of that)."
+            f"(the checks allow {two_digits(100 * max_misfit)} % of that)."
         ]
     if facts.moved_px is None:
         sentences.append("Whether the subject moved between them is not known.")
@@ -351,19 +362,20 @@ def _curves(histogram: Sequence[Sequence[float]]) -> list[tuple[str, str]]:
     return curves
 
 
-def device_values(state: JobState | None, now_s: float) -> dict[str, Any]:
+def device_values(state: JobState | None, facts: str, now_s: float) -> dict[str, Any]:
     """What the last check of the devices found, or why it failed, and when.
 
     Args:
         state: of the check; None where there was none.
+        facts: the last line of its output.
         now_s: time.time().
     """
     if state is None:
         return {"state": None, "look": None, "findings": [], "problem": "", "when": ""}
     look: Any = None
-    if not state.running and state.output:
+    if not state.running and facts:
         try:
-            look = parse_json(state.output.splitlines()[-1], "devices")
+            look = parse_json(facts, "devices")
         except FormatError:
             look = None
     problem = "" if state.running else state.output

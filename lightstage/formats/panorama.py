@@ -14,8 +14,6 @@ from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Weights of linear sRGB, ITU-R BT.709."""
 SUFFIXES = (".exr", ".hdr")
 MOST_TEXELS = 2**26
 

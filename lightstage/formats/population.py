@@ -13,6 +13,7 @@ import numpy as np
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import atomic_path
+from lightstage.formats.npz import UNREADABLE_NPZ
 from lightstage.formats.surface_points import (
     SurfacePoints,
     file_name,
@@ -63,7 +64,7 @@ def read_population(folder: Path, count: int) -> Population | None:
             mean = file["mean_mm"].astype(float)
             identity = file["identity_mm"].astype(float)
             licence, source = str(file["licence"]), str(file["source"])
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except UNREADABLE_NPZ as error:
         raise FormatError(
             path, found=str(error), expected="mean_mm, identity_mm, licence, source"
         ) from None

@@ -13,6 +13,8 @@ XYZ_FROM_SRGB = np.array(
 )
 """Linear sRGB to XYZ under D50, in which ICC profiles connect: the primaries and white of
 [IEC61966], adapted by Bradford's matrix."""
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Weights of linear red, green and blue in the luminance under D65 [IEC61966]."""
 
 
 def linear_from_srgb(image_srgb: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.fields import Fields
 from lightstage.formats.files import atomic_path, read_json, write_json
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
+from lightstage.formats.npz import UNREADABLE_NPZ
 from lightstage.formats.population import (
     FACE_SCHEME,
     Population,
@@ -208,7 +209,7 @@ def _load_modes(path: Path, count: int) -> Modes | None:
             identity = file["identity"].astype(float)
             expression = file["expression"].astype(float)
             names = tuple(str(name) for name in file["expression_names"])
-    except (OSError, ValueError, KeyError) as error:
+    except UNREADABLE_NPZ as error:
         raise FormatError(
             path, found=str(error), expected="identity, expression, expression_names"
         ) from None

@@ -7,13 +7,13 @@ import hashlib
 import os
 import select
 import socket
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Protocol, TypeVar
 
 from lightstage.errors import DeviceError
+from lightstage.user_folder import own_folder, user_folder
 
 BUSY_WAIT_S = 2.0
 """A port in use is tried for so long: a guardian may just be making it dark."""
@@ -150,16 +150,18 @@ class SocketLine:
 def lock_address(name: str) -> IO[bytes]:
     """Take an address for this process and the children to which it hands the file.
 
-    The lock ends with the last process that has it open, however that one ends.
+    The lock ends with the last process that has it open, however that one ends. Its empty file
+    stays: if it were removed, one process could hold the removed file, another one a new file.
 
     Raises:
-        DeviceError: another one of this machine has it.
+        DeviceError: another one of this machine has it, or the files have no safe folder.
     """
     digest = hashlib.sha256(name.encode()).hexdigest()[:16]
-    path = Path(tempfile.gettempdir()) / f"lightstage-{os.getuid()}-{digest}.lock"
-    # Not followed: in a folder that all may write to, a link is somebody else's.
+    path = _locks_folder() / f"{digest}.lock"
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     file = os.fdopen(handle, "r+b")
+    # Systems remove files from their temporary folder that nobody has changed for days.
+    os.utime(handle)
     until = time.monotonic() + BUSY_WAIT_S
     while True:
         try:
@@ -170,6 +172,24 @@ def lock_address(name: str) -> IO[bytes]:
                 file.close()
                 raise in_use(f"LED device at {name}") from None
         time.sleep(BUSY_POLL_S)
+
+
+def _locks_folder() -> Path:
+    """The one folder of the locks of all this user's programs: another one would not exclude them.
+
+    Raises:
+        DeviceError: it is another user's, others may enter it, or it cannot be made.
+    """
+    folder = user_folder()
+    if not own_folder(folder):
+        raise DeviceError(
+            f"the locks of LED devices, {folder}",
+            found="no folder that is this user's alone",
+            expected="a folder of this user with mode 0700, or a place where one can be made",
+            hint="Remove it or correct its mode (chmod 700), or set TMPDIR to a folder of your own "
+            "for all programs of this stage.",
+        )
+    return folder
 
 
 def in_use(where: str) -> DeviceError:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import secrets
 import socket
-import stat
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 from lightstage.errors import CaptureError
+from lightstage.user_folder import own_folder, user_folder
 
 LONGEST_BYTES = 100
 """A unix socket's address holds 108 bytes, on some systems 104."""
@@ -26,7 +24,7 @@ def new_socket_path() -> Path:
     """
     name = f"{os.getpid()}-{secrets.token_hex(4)}.sock"
     for folder in _folders():
-        if len(os.fsencode(folder / name)) <= LONGEST_BYTES and _own(folder):
+        if len(os.fsencode(folder / name)) <= LONGEST_BYTES and own_folder(folder):
             remove_stale(folder)
             return folder / name
     raise CaptureError(
@@ -52,20 +50,8 @@ def _folders() -> Iterator[Path]:
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime and Path(runtime).is_absolute():
         yield Path(runtime) / "lightstage"
-    yield Path(tempfile.gettempdir()) / f"lightstage-{os.getuid()}"
-    yield Path("/tmp") / f"lightstage-{os.getuid()}"
-
-
-def _own(folder: Path) -> bool:
-    """Make the folder if it is not there; whether it is a real one that nobody else gets into."""
-    with contextlib.suppress(OSError):
-        folder.mkdir(mode=0o700)
-    try:
-        about = os.lstat(folder)
-    except OSError:
-        return False
-    alone = about.st_uid == os.getuid() and not about.st_mode & 0o077
-    return stat.S_ISDIR(about.st_mode) and alone and os.access(folder, os.W_OK | os.X_OK)
+    yield user_folder()
+    yield Path("/tmp") / user_folder().name
 
 
 def _lives(process: int) -> bool:

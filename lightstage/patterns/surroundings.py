@@ -8,7 +8,8 @@ import numpy as np
 
 from lightstage.errors import PatternError
 from lightstage.formats.environment import read_lights
-from lightstage.formats.panorama import LUMINANCE, SUFFIXES, read_panorama
+from lightstage.formats.panorama import SUFFIXES, read_panorama
+from lightstage.formats.srgb import LUMINANCE
 from lightstage.patterns.weights import shared_directions, solid_angles_sr
 from lightstage.rig import Rig
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import atomic_path
+from lightstage.formats.npz import UNREADABLE_NPZ
 
 ROWS = 200
 """Rows of the pictures that are kept."""
@@ -75,7 +76,7 @@ def read_diagnosis(out: Path, camera_id: str) -> Diagnosis:
             arrays.get("ambient"),
             {n.partition(" ")[2]: a for n, a in arrays.items() if n.startswith("unlike ")},
         )
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except UNREADABLE_NPZ as error:
         raise FormatError(path, found=str(error), expected="pictures that decode writes") from None
 
 

@@ -6,7 +6,6 @@ import collections
 import concurrent.futures
 import dataclasses
 import threading
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.errors import FormatError
+from lightstage.formats.npz import UNREADABLE_NPZ
 from lightstage.formats.session import Frame, Session
 from processing.decode.session_photographs import Calibrated, Photograph, open_photograph
 from processing.frames.drafts import Draft, Marks, frames_path, read_facts, read_marks
@@ -241,7 +241,7 @@ def _kept(job: CameraJob, out: Path, keys: Mapping[str, str]) -> dict[str, Marks
     try:
         read_frames(out, job.camera)
         return read_marks(frames_path(out, job.camera), same)
-    except (FormatError, OSError, ValueError, KeyError, zipfile.BadZipFile):
+    except (FormatError, *UNREADABLE_NPZ):
         return {}
 
 

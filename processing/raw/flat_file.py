@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +10,13 @@ import numpy as np
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import atomic_path, read_json, write_json
+from lightstage.formats.npz import UNREADABLE_NPZ
 from lightstage.formats.orientation import UNTURNED, Orientation
 from lightstage.formats.paths import check_name, path_inside
 from lightstage.rig import Camera
 
 SCHEMA = "lightstage.flats/1"
-UNUSABLE = (
-    *(KeyError, TypeError, ValueError, OverflowError, AttributeError),
-    *(OSError, EOFError, zipfile.BadZipFile),
-)
+UNUSABLE = (*UNREADABLE_NPZ, TypeError, OverflowError, AttributeError)
 """What an entry of another form, or a file of gains that is none, ends in."""
 
 

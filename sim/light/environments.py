@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from lightstage.formats.environment import LightSet
-from lightstage.formats.panorama import LUMINANCE, read_panorama, require_panorama
+from lightstage.formats.panorama import read_panorama, require_panorama
+from lightstage.formats.srgb import LUMINANCE
 from sim.errors import SimError
 
 FAR_MM = 100_000.0

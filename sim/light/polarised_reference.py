@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.srgb import LUMINANCE
 from lightstage.rig import Camera
 from sim.light.polarised import PolariserConfig
 from sim.reference.variant import mitsuba, working_llvm
 
 SCALAR, LLVM = "scalar_spectral_polarized", "llvm_ad_mono_polarized"
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 LAMP_MM = 20.0
 PLATE_MM = 5.0
 

@@ -10,8 +10,8 @@ import numpy as np
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.environment import LightSet, read_lights
 from lightstage.formats.exr import write_exr
-from lightstage.formats.panorama import LUMINANCE
 from lightstage.formats.png import write_png
+from lightstage.formats.srgb import LUMINANCE
 from lightstage.rig import Camera
 from sim.errors import SimError
 from sim.light.environments import Panorama, load_panorama, panorama_lights, rotated

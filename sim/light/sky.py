@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from lightstage.formats.panorama import LUMINANCE
+from lightstage.formats.srgb import LUMINANCE
 from sim.errors import SimError
 from sim.light.environments import Panorama, add_sun, directions, solid_angles
 

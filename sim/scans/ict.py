@@ -14,6 +14,7 @@ import numpy as np
 
 from lightstage.formats.files import read_json
 from lightstage.formats.mesh import Mesh, read_obj
+from lightstage.formats.npz import UNREADABLE_NPZ
 from sim.errors import SimError
 from sim.scans.head_data import head_data_folder
 
@@ -121,7 +122,7 @@ def _from_file(path: Path, landmarks: np.ndarray) -> IctModel:
             identity = file["identity_modes_cm"].astype(np.float32)
             expression = file["expression_modes_cm"].astype(np.float32)
             names = [str(name) for name in file["expression_names"]]
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except UNREADABLE_NPZ as error:
         raise SimError(path, found=str(error), expected="the model's modes") from None
     for field, modes in (("identity_modes_cm", identity), ("expression_modes_cm", expression)):
         _require_modes(path, field, modes, len(neutral))

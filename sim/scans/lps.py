@@ -18,6 +18,7 @@ from scipy import ndimage
 
 from lightstage.formats.files import read_json
 from lightstage.formats.mesh import Mesh
+from lightstage.formats.srgb import LUMINANCE
 from lightstage.formats.template import default_template_path, load_template
 from sim.errors import SimError
 from sim.light.texture import raster_uv, tangent_frames
@@ -93,7 +94,7 @@ def fine_detail(albedo: np.ndarray, scale: float) -> np.ndarray:
     Returns:
         (rows, columns) float32.
     """
-    luminance = albedo @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    luminance = albedo @ LUMINANCE.astype(np.float32)
     logs = np.log(np.maximum(luminance, 1e-3))
     fine = ndimage.gaussian_filter(logs, 0.7 * scale) - ndimage.gaussian_filter(logs, 12 * scale)
     return np.asarray(np.tanh(fine / 0.25))
@@ -115,7 +116,7 @@ def skin_specular(albedo: np.ndarray, scale: float | None = None) -> tuple[np.nd
     """
     scale = albedo.shape[0] / 1024 if scale is None else scale
     detail = fine_detail(albedo, scale)
-    luminance = albedo @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    luminance = albedo @ LUMINANCE.astype(np.float32)
     red = np.log(np.maximum(albedo[..., 0], 1e-3)) - np.log(np.maximum(luminance, 1e-3))
     broad = ndimage.gaussian_filter(red, 20 * scale)
     broad -= np.median(broad)

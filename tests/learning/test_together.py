@@ -18,7 +18,6 @@ from learning.whole.together import (
     TOGETHER,
     Explained,
     KnownSkin,
-    _descended,
     _Problem,
     explain,
 )
@@ -105,11 +104,11 @@ def test_the_normal_equations_hold_the_slope_of_the_cost() -> None:
     c = case(3)
     problem = _Problem(c.texture, np.ones(TEXELS), c.irradiance, c.lobe, c.skin, c.begin)
     values = problem.start() + np.random.default_rng(1).normal(0, 0.1, 12)
-    _, _, right = problem.linear(values)
+    _, _, half = problem.equations(values)
     for index in range(len(values)):
         step = 1e-5 * np.eye(len(values))[index]
-        slope = (problem.linear(values + step)[0] - problem.linear(values - step)[0]) / 2e-5
-        assert slope == pytest.approx(-2 * right[index], rel=1e-4, abs=1e-4)
+        slope = (problem.equations(values + step)[0] - problem.equations(values - step)[0]) / 2e-5
+        assert slope == pytest.approx(2 * half[index], rel=1e-4, abs=1e-4)
 
 
 def test_a_plain_solver_of_the_same_cost_finds_the_same_answer() -> None:
@@ -117,7 +116,7 @@ def test_a_plain_solver_of_the_same_cost_finds_the_same_answer() -> None:
     problem = _Problem(c.texture, np.ones(FEW), c.irradiance, c.lobe, c.skin, c.begin)
     problem.set_outlier_scale(problem.start() - 0.1)
     far = problem._far
-    values, cost, normal = _descended(problem, problem.start())
+    values, cost, normal = problem.descended(problem.start())
     answer = problem.answer(values, np.linalg.inv(normal), cost)
     trust = (c.texture / (c.texture + DARK)) ** 2
     logs = np.log(1.3 * c.rgb).mean(axis=1, keepdims=True)

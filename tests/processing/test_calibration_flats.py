@@ -130,6 +130,18 @@ def test_flats_are_read_as_written_and_a_window_is_part_of_the_whole(tmp_path):
     np.testing.assert_allclose(single, twin.reshape(HEIGHT, WIDTH), rtol=2e-6)
 
 
+def test_gains_with_one_changed_byte_are_named(tmp_path):
+    own = np.random.default_rng(3).uniform(0.9, 1.1, (HEIGHT, WIDTH)).astype(np.float32)
+    field = dataclasses.replace(TRUE, per_pixel=own)
+    path = write_flats({"cam0": field}, tmp_path / "flats.json", {})
+    (gains,) = tmp_path.glob("*.npz")
+    good = gains.read_bytes()
+    for place in range(200, 2200, 200):
+        gains.write_bytes(good[:place] + bytes([good[place] ^ 0xFF]) + good[place + 1 :])
+        with pytest.raises(FormatError, match="cam0"):
+            read_flats(path, ["cam0"])
+
+
 @pytest.mark.parametrize(
     "change",
     [

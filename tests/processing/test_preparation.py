@@ -12,10 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lightstage.errors import FormatError
 from lightstage.formats.session import Session, SessionFile
 from lightstage.patterns import SEQUENCES
 from processing.decode.config import PrepareConfig
-from processing.decode.diagnosis import read_diagnosis
+from processing.decode.diagnosis import Diagnosis, read_diagnosis, write_diagnosis
 from processing.decode.diagnosis_page import grid, light_section, signed
 from processing.decode.preparation import prepare_view, prepare_warnings
 from processing.decode.subject_motion import Flow, monomials, solve_pair, warp
@@ -250,6 +251,16 @@ def test_the_report_shows_a_row_a_camera(tmp_path: Path) -> None:
     assert one.dtype == np.uint8
     assert one.shape[1] == two.shape[1]
     assert two.shape[0] > 1.8 * one.shape[0]
+
+
+def test_pictures_with_a_changed_byte_are_named_and_no_defect(tmp_path: Path) -> None:
+    picture = np.random.default_rng(0).random((20, 30, 3)).astype(np.float32)
+    path = write_diagnosis(tmp_path, "cam0", Diagnosis(picture, picture[..., 0]))
+    good = path.read_bytes()
+    for place in range(200, 2200, 200):
+        path.write_bytes(good[:place] + bytes([good[place] ^ 0xFF]) + good[place + 1 :])
+        with pytest.raises(FormatError, match=path.name):
+            read_diagnosis(tmp_path, "cam0")
 
 
 def test_more_is_red_and_less_is_blue() -> None:

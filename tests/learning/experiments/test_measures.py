@@ -225,6 +225,18 @@ def test_a_damaged_file_of_shadows_is_baked_again(tmp_path: Path, damage: bytes)
     assert path.read_bytes() == wrong
 
 
+def test_a_file_of_shadows_with_one_changed_byte_is_baked_again(tmp_path: Path) -> None:
+    seen = (np.random.default_rng(0).random((4, 96, 64)) > 0.3).astype(np.float32)
+    kept, lights = KeptShadows(tmp_path, "a head"), 1000 * np.eye(4, 3)
+    kept.read_or_bake((96, 64), lights, lambda: seen)
+    (path,) = tmp_path.iterdir()
+    good = path.read_bytes()
+    for place in range(0, len(good), 97):
+        path.write_bytes(good[:place] + bytes([good[place] ^ 0xFF]) + good[place + 1 :])
+        found = kept.read_or_bake((96, 64), lights, lambda: seen)
+        np.testing.assert_array_equal(found, seen)
+
+
 def test_shadows_of_a_scan_without_a_hash_or_a_folder_are_not_kept(tmp_path: Path) -> None:
     assert shadows_of_scan(None, "abc", "skin") is None
     assert shadows_of_scan(tmp_path, "", "skin") is None

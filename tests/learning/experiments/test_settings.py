@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from learning.errors import TrainingError
+from learning.experiments.command import ABOUT, SCHEMA, _require_same
 from learning.experiments.config import SIZES, SMALL_ONLY, sized
 from learning.experiments.held_out import FIGURES
 from learning.experiments.people import Halves, halves_of, of_variant, store_of, subject_of
@@ -18,7 +20,9 @@ from learning.experiments.variants import EXPERIMENTS, STEPS, TIME, Variant, tra
 from learning.experiments.work import DONE
 from learning.patch_config import TrainConfig
 from lightstage.errors import ConfigError
+from lightstage.formats.files import write_json
 from processing.dataset import open_store
+from tests.programs import run_program
 
 TINY = sized("tiny", {"patch_px": 32}, "test")
 
@@ -190,12 +194,49 @@ def test_no_training_at_all_and_unknown_keys_are_refused() -> None:
         sized("small", {"environments": 11}, "x.toml")
 
 
+def test_epochs_are_refused_where_no_training_has_them(store_path: Path, tmp_path: Path) -> None:
+    own = tmp_path / "x.toml"
+    own.write_text("epochs = 3\n")
+    words = ["experiment", "ladder", "--data", store_path, "--out", tmp_path / "L"]
+    ended = run_program("learning", *words, "--size", "tiny", "--config", own)
+    assert ended.code == 2
+    assert "x.toml, epochs: found 3, expected no value without published networks" in ended.err
+    assert "Set steps, or choose --size full." in ended.err
+    assert not (tmp_path / "L").exists()
+
+
+def test_an_experiment_goes_on_where_only_a_value_differs_that_changes_no_training(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / ABOUT
+    for size, ineffective, effective in (
+        ("small", {"epochs": 3}, {"steps": 3}),
+        ("full", {"steps": 300, "width": 3}, {"epochs": 3}),
+        ("full", {"steps": 300, "width": 3}, {"steps": 0}),
+    ):
+        now = {
+            "name": "ladder",
+            "data_fingerprint": "f",
+            "config": json.loads(json.dumps(dataclasses.asdict(sized(size, {}, "test")))),
+        }
+        write_json(path, {"schema": SCHEMA, **now, "config": {**now["config"], **ineffective}})
+        _require_same(path, now)
+        write_json(path, {"schema": SCHEMA, **now, "config": {**now["config"], **effective}})
+        with pytest.raises(ConfigError, match=f"{next(iter(effective))}: found"):
+            _require_same(path, now)
+
+
 def test_sizes_that_published_networks_do_not_have_are_refused_with_them() -> None:
     with pytest.raises(ConfigError, match=r"x\.toml, width, batch: found a value") as refused:
         sized("full", {"batch": 1, "width": 8, "seeds": 2}, "x.toml")
     assert "choose another --size" in str(refused.value)
     assert sized("full", {"published": False, "batch": 1}, "x.toml").batch == 1
     assert sized("full", {"seeds": 2, "epochs": 3}, "x.toml").epochs == 3
+    with pytest.raises(ConfigError, match=r"x\.toml, steps: found 300, .* Set epochs"):
+        sized("full", {"steps": 300}, "x.toml")
+    with pytest.raises(ConfigError, match=r"x\.toml, epochs: found 3, and 0 steps"):
+        sized("full", {"steps": 0, "seconds": 60.0, "epochs": 3}, "x.toml")
+    assert sized("full", {"steps": 0, "seconds": 60.0}, "x.toml").steps == 0
     # Each of them changes a training of another size and none of this one.
     for name in SMALL_ONLY:
         trainings = []

@@ -16,13 +16,14 @@ from learning.checkpoint import load_whole_face, shipped_weights
 from learning.photo import command
 from learning.photo import picture as reading
 from learning.photo.command import FitRequest, Marks, _with_colour
-from learning.photo.grey import LUMINANCE, coloured, has_no_colour
+from learning.photo.grey import coloured, has_no_colour
 from learning.photo.picture import read_photograph
 from learning.photo.shape_fit import Photograph
 from lightstage.errors import LightstageError
 from lightstage.exif import Exif
 from lightstage.faces.detect import Face
 from lightstage.formats.files import write_json
+from lightstage.formats.srgb import LUMINANCE
 from lightstage.formats.template import default_template_path, load_template
 
 SIZE = 70

@@ -183,6 +183,7 @@ BAD = {
         ["/none/c.toml", "no such file", "by their serial numbers"],
     ),
     "no colour": (["--colour", "/none/colour.json"], ["/none/colour.json", "no such file"]),
+    "nothing that may be stale": (["--allow-stale", "chart"], ["--allow-stale", "--calibration"]),
     "unknown option": (["--sequense", "full"], ["--sequense"]),
 }
 

@@ -4,10 +4,12 @@ import dataclasses
 import json
 import threading
 import time
+import types
 
 import numpy as np
 import pytest
 
+from lightstage.capture import run
 from lightstage.errors import CaptureError, DeviceError, StoppedError
 from lightstage.findings import Finding
 from lightstage.formats.session import load_session
@@ -61,6 +63,24 @@ def test_only_the_camera_that_failed_takes_the_pattern_again(bench):
     assert report.frames == 9
     assert bench.kept("x+") == ["cam0.dng", "cam1.take2.dng", "cam2.dng"]
     assert [f.camera for f in bench.operator.asked[0]] == ["cam1"]
+
+
+def test_seconds_until_an_operator_answers_are_a_pause_and_no_overhead(bench, monkeypatch):
+    thought_s, decide = 1000.0, bench.operator.decide
+    passed = [0.0]
+
+    def decide_late(*question):
+        passed[0] += thought_s
+        return decide(*question)
+
+    clock = types.SimpleNamespace(monotonic=lambda: time.monotonic() + passed[0], sleep=time.sleep)
+    monkeypatch.setattr(run, "time", clock)
+    bench.operator.decide = decide_late
+    bench.cameras[1].faults[2] = "fail"
+    report = bench.run()
+    assert len(bench.operator.asked) == 1
+    assert report.paused_s >= thought_s
+    assert report.overhead_s < thought_s
 
 
 def test_a_picture_taken_before_its_camera_died_is_found_on_the_card_and_counts(bench):

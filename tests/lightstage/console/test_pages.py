@@ -315,10 +315,27 @@ def test_a_stage_whose_rig_is_gone_is_reported_in_words(tmp_path) -> None:
     state = wait_until(
         lambda: None if (now := runner.state("devices")) and now.running else now, "its end"
     )
-    values = device_values(state, state.ended_s + 125)
+    values = device_values(state, runner.facts(state.job), state.ended_s + 125)
     assert values["problem"] == "none.json: found no such file, expected a JSON file"
     assert values["look"] is None
     assert values["when"].endswith(" UTC, 2 min ago")
+
+
+def test_a_check_of_the_devices_is_shown_however_much_it_found(site) -> None:
+    finding = {
+        "severity": "refuse", "code": "unlike", "where": "camera cam7, focus", "found": "AF" * 200,
+        "expected": "Manual", "hint": "Set it.", "camera": "cam7",
+    }  # fmt: skip
+    look = {"lights": None, "acknowledged": False, "cameras": [], "ready": False}
+    runner = site.desk.runner
+    runner.start("devices", "devices", "", ["--version"])
+    wait_until(lambda: not runner.state("devices").running, "its end")
+    log = site.desk.folder / ".console" / "devices.log"
+    log.write_text("a warning\n" + json.dumps({**look, "findings": 100 * [finding]}) + "\n")
+    page = site.visitor().get("/devices/part").text
+    assert "X Not ready" in page
+    assert page.count("<b>Set it.</b>") == 100
+    assert "could not be checked" not in page
 
 
 def test_a_moment_is_shown_with_how_long_ago_it_was() -> None:

@@ -53,7 +53,7 @@ def test_a_folder_that_is_not_safe_or_not_short_is_not_used(runtime, wrong, monk
 
 
 def test_without_any_folder_it_is_reported_what_to_set(monkeypatch):
-    monkeypatch.setattr(module, "_own", lambda _: False)
+    monkeypatch.setattr(module, "own_folder", lambda _: False)
     with pytest.raises(CaptureError, match="Set XDG_RUNTIME_DIR"):
         new_socket_path()
 

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from lightstage.errors import FormatError
 from lightstage.formats.exr import write_exr
+from lightstage.formats.srgb import LUMINANCE
 from sim.errors import SimError
 from sim.light.environments import (
     FAR_MM,
-    LUMINANCE,
     Panorama,
     add_sun,
     directions,

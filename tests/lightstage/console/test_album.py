@@ -1,0 +1,51 @@
+"""The processes that make pictures: one that hangs costs its own picture alone."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import multiprocessing
+import os
+from pathlib import Path
+
+from lightstage.console.album import Album
+from lightstage.console.config import ConsoleConfig
+from lightstage.console.following import Photograph
+from lightstage.errors import FormatError
+from tests.lightstage.console.conftest import wait_until
+
+ONE = dataclasses.replace(ConsoleConfig(), makers=1, picture_s=8.0)
+"""Long enough for a new process to begin, which the other photograph waits for."""
+
+
+def endless(folder: Path, name: str) -> Photograph:
+    """A photograph whose bytes never come, as on a disk of a network that is gone."""
+    os.mkfifo(folder / name)
+    return Photograph(folder / name, 1, name)
+
+
+def test_a_photograph_that_is_read_for_ever_keeps_neither_others_nor_the_end_waiting(
+    tmp_path: Path, dng
+) -> None:
+    before = set(multiprocessing.active_children())
+    path = tmp_path / "good.dng"
+    path.write_bytes(dng(3000))
+    album = Album(ONE)
+
+    async def shown() -> tuple[object, object]:
+        hangs = asyncio.create_task(album.thumbnail(endless(tmp_path, "first.dng")))
+        await asyncio.sleep(0.1)
+        waits = asyncio.create_task(album.thumbnail(Photograph(path, 1, "good")))
+        found = await asyncio.gather(hangs, waits, return_exceptions=True)
+        # Another one hangs while the server ends.
+        asyncio.create_task(album.thumbnail(endless(tmp_path, "last.dng")))  # noqa: RUF006
+        await asyncio.sleep(0.1)
+        return found[0], found[1]
+
+    hung, other = asyncio.run(shown())
+    assert isinstance(hung, FormatError)
+    assert "no picture of it within 8 s" in str(hung)
+    assert isinstance(other, bytes), other
+    assert other.startswith(b"\xff\xd8")
+    album.close()
+    wait_until(lambda: set(multiprocessing.active_children()) <= before, "the processes' end")
