@@ -100,6 +100,7 @@ class Runner:
 
         Raises:
             CaptureError: another one of this kind runs.
+            OSError, LightstageError: what runs cannot be written; then it is stopped again.
         """
         with self._lock:
             running = self._state(kind)
@@ -124,7 +125,12 @@ class Runner:
                 )
             self._children[child.pid] = child
             job = Job(kind, what, session, child.pid, born(child.pid) or 0, log.name)
-            write_json(self._path(kind), {"schema": SCHEMA, **dataclasses.asdict(job)})
+            try:
+                write_json(self._path(kind), {"schema": SCHEMA, **dataclasses.asdict(job)})
+            except BaseException:
+                # Nobody could see or stop it, and a second one would be started beside it.
+                child.terminate()
+                raise
             return job
 
     def state(self, kind: str) -> JobState | None:
