@@ -29,7 +29,7 @@ from learning.networks.whole_face import WholeFaceNetwork, face_input
 from learning.render.shading import unit
 from learning.render.uv import UvRaster, rasterise
 from learning.whole.detail import enlarged, with_detail
-from learning.whole.expected import expected_error
+from learning.whole.expected import doubt_of, expected_error, expected_of_refined
 from learning.whole.refine import (
     CAMERA_MM,
     LARGEST_MISFIT,
@@ -97,9 +97,8 @@ def infer_whole_face(
     Returns:
         Maps of the texture's size in the mesh's axes; zero where no surface is. Normals are the
         mesh's own, and where `mesostructure` found pores and folds, with these. Confidence
-        follows from the error that is expected (a half at an error of `DISAGREEMENT` in sRGB),
-        by the network or, of a refined albedo, by `expected_error`; it is 0 where the texture is
-        black.
+        follows from the error that is expected (a half at an error of `DISAGREEMENT` in sRGB; see
+        `learning.whole.expected`); it is 0 where the texture is black.
 
     Raises:
         MapsError: a texture too small, black or badly exposed; a mesh that is flat, not of a head's
@@ -139,10 +138,10 @@ def infer_whole_face(
     else:
         diffuse = refined.diffuse_albedo
     specular = np.exp(enlarged(np.log(low_specular), rows, columns))
-    if refined is None:
-        error = enlarged(looked.deviation, rows, columns)
-    else:
-        error = expected_error(diffuse, log_albedo, refined.deviation_log, refined.known)
+    left_open = doubt_of(network) if refined is None else refined.deviation_log
+    error = expected_error(left_open, looked.deviation, (rows, columns))
+    if refined is not None:
+        error = expected_of_refined(error, diffuse, log_albedo, refined.known)
     normals = (normal, normal)
     if refined is not None and refined.normals is not None:
         normals = tuple(turned @ head_from_mesh[:, :3] for turned in refined.normals)
