@@ -1,7 +1,7 @@
 """What is worn, and became part of the skin's mesh because it has a colour: red or black cloth.
 
 Photometric normals follow from colour, so coloured cloth is matched with the skin. Its shadows
-are then right, yet the skin's gloss would be fitted to it. Its pieces are told by their colour:
+are then right, yet the gloss of skin would be fitted to it. Its pieces are found by their colour:
 they are far from the face's hue, or far darker than the face and of another hue. A shadow makes
 skin dark and leaves its hue.
 """
