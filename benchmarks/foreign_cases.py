@@ -142,6 +142,8 @@ CASES: dict[str, Case] = {
     "glare": Case(312, "parametric", 2, "roughplastic", camera="glare"),
     "grain": Case(313, "ict", 6, "roughplastic", camera="grain"),
     "beard": Case(314, "parametric", 3, "lambert-ggx", ("beard", "hair over an ear")),
+    "dark-collar": Case(315, "ict", 3, "principled", ("dark collar",)),
+    "beard-collar": Case(316, "parametric", 1, "roughplastic", ("beard", "red collar", "glasses")),
     "new-lambert-ggx": Case(401, "ict", 4, "lambert-ggx"),
     "new-principled": Case(402, "parametric", 1, "principled"),
     "new-roughplastic": Case(403, "ict", 2, "roughplastic"),

@@ -14,6 +14,7 @@ import argparse
 import dataclasses
 import shutil
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -66,8 +67,15 @@ def rig_of(rows: int) -> Rig:
     return default_rig().scaled(rows / default_rig().cameras[0].height_px)
 
 
-def errors(out: Path, session_path: Path) -> dict[str, float]:
+def errors(
+    out: Path, session_path: Path, left_out: Mapping[str, np.ndarray] | None = None
+) -> dict[str, float]:
     """Errors over all views' skin that is seen less steeply than 70 degrees.
+
+    Args:
+        out: processed folder.
+        session_path: with its truth beside it.
+        left_out: (h, w) bool of each camera, pixels that are not scored; None scores all skin.
 
     Returns:
         Mean angle of the diffuse normals of all, above and below the chin; RMSE of the diffuse
@@ -81,10 +89,14 @@ def errors(out: Path, session_path: Path) -> dict[str, float]:
     parts, upper, albedos, known = [], [], [], []
     for camera in load_session(session_path).rig.cameras:
         truth, maps = true_view(true, camera), read_maps(found, camera.id)
-        parts.append(view_samples(maps, truth))
-        upper.append(true.read_view(camera.id, "position")[truth.skin][:, 1] > chin_mm)
-        albedos.append(maps.diffuse_albedo[truth.skin])
-        known.append(truth.albedo)
+        scored = np.ones(len(truth.albedo), bool)
+        if left_out is not None:
+            scored = ~left_out[camera.id][truth.skin]
+        parts.append(view_samples(maps, truth).of(scored))
+        high = true.read_view(camera.id, "position")[truth.skin][:, 1] > chin_mm
+        upper.append(high[scored])
+        albedos.append(maps.diffuse_albedo[truth.skin][scored])
+        known.append(truth.albedo[scored])
     samples, above = joined(parts), np.concatenate(upper)
     albedo, exact = np.concatenate(albedos).astype(float), np.concatenate(known)
     gain = float((albedo * exact).sum() / max(float((albedo**2).sum()), 1e-12))

@@ -5,11 +5,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from processing.dim_regions import dim_regions
 from processing.frames.window import Window
 
 
 def foreground(brightest: np.ndarray, share: float, picture_share: float = 1.0) -> np.ndarray:
-    """What is in front of the dark background: the largest bright region, its holes filled.
+    """What is in front of the dark background: the largest bright region, and dark ones beside it.
+
+    Their holes are filled.
 
     Args:
         brightest: (h, w) the largest value of a pixel over patterns and channels.
@@ -28,8 +31,8 @@ def foreground(brightest: np.ndarray, share: float, picture_share: float = 1.0) 
     count, labels, stats, _ = cv2.connectedComponentsWithStats(bright)
     if count < 2:
         return np.zeros(brightest.shape, bool)
-    largest = labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    return _filled(largest)
+    largest = _filled(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
+    return _filled(largest | dim_regions(smooth, largest, share * level))
 
 
 def view_foreground(

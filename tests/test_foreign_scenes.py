@@ -6,10 +6,12 @@ import dataclasses
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.foreign import MESHES, OTHER_TARGETS, SCORES, TARGETS, row_path, table
 from benchmarks.foreign_cases import ALPHAS, CAMERAS, CASES, RIGS, WORN
+from benchmarks.foreign_hair import narrow_gaps_filled
 from sim.foreign.materials import MATERIALS
 
 
@@ -63,3 +65,16 @@ def test_a_table_has_the_rows_that_are_kept_and_means_beside_their_targets(
 def test_a_scene_is_one_line() -> None:
     first = next(iter(CASES.values()))
     assert dataclasses.replace(first, seed=900).seen is False
+
+
+def test_gaps_between_hairs_are_filled_and_the_edge_of_a_collar_is_none() -> None:
+    hairs = np.zeros((60, 60), bool)
+    hairs[10:30, 10:40:3] = True
+    collar = np.zeros((60, 60), bool)
+    collar[45:] = True
+    filled = narrow_gaps_filled(hairs | collar, 4.0)
+    assert filled[12:28, 12:38].all()
+    assert not filled[40:44].any()
+    assert not filled[:5].any()
+    assert not filled[:, 50:][:40].any()
+    assert not narrow_gaps_filled(np.zeros((9, 9), bool), 4.0).any()

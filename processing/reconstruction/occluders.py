@@ -12,12 +12,14 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-from lightstage.formats.mesh import Mesh, connected, directed_edges
+from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera
 from processing.closest import ClosestPoints
 from processing.errors import ReconstructionError
 from processing.rays import MeshRays
 from processing.reconstruction.config import ReconstructConfig
+from processing.reconstruction.fusion import compact
+from processing.reconstruction.pieces import larger_pieces
 from processing.reconstruction.views import View
 
 ROWS = 800
@@ -107,15 +109,5 @@ def apart(mesh: Mesh, skin: Mesh) -> Mesh | None:
     """The pieces of a mesh that are off the skin and are large enough; None where none is."""
     closest = ClosestPoints(skin.vertices, skin.triangles())
     off = closest.query(mesh.vertices).distance_mm > OFF_SKIN_MM
-    faces = mesh.faces[off[mesh.faces].all(axis=1)]
-    if not len(faces):
-        return None
-    piece = connected(directed_edges(faces), len(mesh.vertices))[faces[:, 0]]
-    corners = mesh.vertices[faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area_mm2 = np.bincount(piece, weights=0.5 * np.linalg.norm(across, axis=1))
-    faces = faces[area_mm2[piece] > 100 * LEAST_CM2]
-    if not len(faces):
-        return None
-    used, faces = np.unique(faces, return_inverse=True)
-    return Mesh(mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32))
+    kept = larger_pieces(mesh, off[mesh.faces].all(axis=1), LEAST_CM2)
+    return compact(mesh.vertices, mesh.faces[kept]) if kept.any() else None

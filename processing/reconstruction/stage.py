@@ -34,6 +34,7 @@ from processing.reconstruction.poses import (
     raise_when_off,
     tone_mapped,
 )
+from processing.reconstruction.skin_pixels import skin_alone
 from processing.reconstruction.slants import without_normals
 from processing.reconstruction.small_views import (
     matched_times,
@@ -41,9 +42,10 @@ from processing.reconstruction.small_views import (
     small_view,
     smaller_picture,
 )
-from processing.reconstruction.stereo import match_views, sources_of
+from processing.reconstruction.stereo import focus_point, match_views, sources_of
 from processing.reconstruction.two_passes import Depths, as_known, meshed, twice
 from processing.reconstruction.views import View, common_basis, make_view, pyramid
+from processing.reconstruction.worn import Coloured, without_worn
 
 __all__ = ["ReconstructConfig", "reconstruct", "reconstruct_views"]
 
@@ -178,14 +180,29 @@ def _matched(
             # Cameras that stand elsewhere are named first, whatever else is wrong.
             poses = checked.result()
     beside = others_beside(views, config, normals)
-    found = reconstruct_views(views, config, progress, lights, beside)
+    found = reconstruct_views(skin_alone(views), config, progress, lights, beside)
     if not config.occluders and found.occluders is not None:
         # They were found beside the first mesh.
         found = found._replace(occluders=apart(found.occluders, found.mesh))
+    if config.find_occluders and not config.occluders and normals:
+        found = _undressed(found, session, out)
     empty = [view.camera.id for view in views if not np.isfinite(view.textures).any()]
     warnings = [f"{camera} shows nothing and was not used" for camera in empty]
     warnings += [] if normals else [f"{', '.join(lights.patterns)}: {PICTURES_ALONE}"]
     return Made(poses, found, warnings)
+
+
+def _undressed(found: Reconstructed, session: Session, out: Path) -> Reconstructed:
+    """What was found, coloured cloth taken from the skin's mesh to the occluders."""
+    cameras = [session.rig.camera(name) for name in session.camera_ids()]
+    coloured = [
+        Coloured(camera, read_coarse(out, camera.id).picture("diffuse_albedo"))
+        for camera in cameras
+    ]
+    mesh, occluders = without_worn(found.mesh, found.occluders, coloured, focus_point(cameras))
+    if mesh is found.mesh:
+        return found
+    return found._replace(mesh=mesh, holes=boundary_loops(mesh), occluders=occluders)
 
 
 def others_beside(views: list[View], config: ReconstructConfig, normals: bool) -> OthersBeside:

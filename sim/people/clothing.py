@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from lightstage.formats.mesh import Mesh
 from sim.errors import SimError
@@ -25,6 +25,8 @@ COLLAR_MM = 30.0
 """A collar's height; below it the shoulders begin."""
 SHOULDERS_MM = 90.0
 """How far the shoulders reach out and down."""
+INSIDE_MM = 3.0
+"""Least distance between the cloth and the body below it."""
 STRIP = 8
 """Rows of texels that hold the cloth's colour."""
 CLOTH_ROUGHNESS = 0.5
@@ -61,19 +63,47 @@ def collar(subject: Subject) -> Mesh:
     radius = gaussian_filter1d(radius, 3, mode="wrap") + CLEARANCE_MM
     angle = 2 * np.pi * (at + 0.5) / AROUND
     out = np.stack([np.cos(angle), np.zeros(AROUND), np.sin(angle)], axis=1)
-    rings = []
-    for down in np.linspace(0, 1, DOWN):
-        fallen = COLLAR_MM * min(2 * down, 1)
-        wide = SHOULDERS_MM * max(2 * down - 1, 0)
-        height = top_mm - fallen - 0.5 * wide
-        ring = (radius + wide)[:, None] * out + (middle[0], height, middle[2])
-        rings.append(ring)
+    shares = np.linspace(0, 1, DOWN)
+    wide = SHOULDERS_MM * np.maximum(2 * shares - 1, 0)
+    heights = top_mm - COLLAR_MM * np.minimum(2 * shares, 1) - 0.5 * wide
+    body = points[points[:, 2] < chin[2] - 20]
+    reach = _outside(radius + wide[:, None], heights, body - (middle[0], 0, middle[2]))
+    lowest = body[:, 1].min() - INSIDE_MM
+    if heights[-1] > lowest:
+        # A body that continues below the shoulders is covered down to its end.
+        heights[-1] = lowest
+    rings = [
+        ring[:, None] * out + (middle[0], height, middle[2])
+        for ring, height in zip(reach, heights, strict=True)
+    ]
     vertices = (np.concatenate(rings) - to_head[:, 3]) @ to_head[:, :3]
     above = (np.arange(DOWN - 1)[:, None] * AROUND + at).ravel()
     beside = (np.arange(DOWN - 1)[:, None] * AROUND + (at + 1) % AROUND).ravel()
     upper = np.stack([above, beside, beside + AROUND], axis=1)
     lower = np.stack([above, beside + AROUND, above + AROUND], axis=1)
     return Mesh(vertices, np.concatenate([upper, lower]).astype(np.int32))
+
+
+def _outside(reach: np.ndarray, heights: np.ndarray, body: np.ndarray) -> np.ndarray:
+    """Rings of cloth, made wider where a body would poke through them.
+
+    Args:
+        reach: (r, AROUND) distance from the axis, mm.
+        heights: (r,) of the rings, falling.
+        body: (n, 3) points around the axis, +y up.
+    """
+    place = (np.arctan2(body[:, 2], body[:, 0]) / (2 * np.pi) % 1 * AROUND).astype(int) % AROUND
+    off = np.hypot(body[:, 0], body[:, 2])
+    out = reach.copy()
+    for k in range(len(heights)):
+        above, below = heights[max(k - 1, 0)], heights[min(k + 1, len(heights) - 1)]
+        there = (body[:, 1] <= above) & (body[:, 1] >= below)
+        widest = np.zeros(AROUND)
+        np.maximum.at(widest, place[there], off[there] + INSIDE_MM)
+        excess = maximum_filter1d(np.maximum(widest - reach[k], 0), 5, mode="wrap")
+        if excess.any():
+            out[k] += gaussian_filter1d(excess, 1, mode="wrap")
+    return out
 
 
 def dressed(

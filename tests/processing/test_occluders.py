@@ -107,12 +107,17 @@ def photographed(subject: Subject, rig: Rig, root: Path) -> Path:
     return root
 
 
-def test_a_grey_collar_is_found_and_is_no_part_of_the_skins_mesh(
-    tmp_path: Path, small_rig: Rig
+@pytest.mark.parametrize(
+    "cloth",
+    [(0.2, 0.2, 0.2), (0.4, 0.03, 0.02), (0.012, 0.012, 0.015)],
+    ids=["grey", "red", "black, darker than the threshold of the foreground"],
+)
+def test_a_collar_is_found_and_is_no_part_of_the_skins_mesh(
+    tmp_path: Path, small_rig: Rig, cloth: tuple[float, float, float]
 ) -> None:
     person = one_person()
     clothes = collar(person)
-    session = photographed(dressed(person, clothes, (0.2, 0.2, 0.2)), small_rig, tmp_path / "s")
+    session = photographed(dressed(person, clothes, cloth), small_rig, tmp_path / "s")
     out = tmp_path / "out"
     config = dataclasses.replace(
         PipelineConfig(), reconstruct=ReconstructConfig(splits=0, look_again=False)
