@@ -195,10 +195,12 @@ def template_points(
 
     with progress_bar("template-points") as progress:
         facts = find_template_points(template, out, picture, progress)
+    people = facts["found_on_people"]
+    beside = "" if people is None else f" ({people} on the population's mean head)"
     finish(
-        f"{facts['points']}: {facts['found']} points, {facts['absent']} without a place, lines of "
-        f"sight {facts['spread_median_mm']} mm apart (median), a face in {facts['faces']} of "
-        f"{facts['pictures']} pictures, {facts['seconds']:.0f} s",
+        f"{facts['points']}: {facts['found']} points{beside}, "
+        f"{facts['absent']} without a place, lines of sight {facts['spread_median_mm']} mm apart "
+        f"(median), a face in {facts['faces']} of {facts['pictures']} pictures, {facts['seconds']:.0f} s",
         facts,
         as_json,
     )

@@ -59,17 +59,20 @@ def template_points(
     there = points.triangles[:, 0] >= 0
     return {
         "points": str(written),
-        "found": int(there.sum()),
-        "absent": int((~there).sum()),
-        "found_on_people": None
-        if mean_points is None
-        else int((mean_points.triangles[:, 0] >= 0).sum()),
+        "found": _found(points),
+        "absent": len(there) - _found(points),
+        "found_on_people": None if mean_points is None else _found(mean_points),
         "spread_median_mm": round(float(np.median(points.spread_mm[there])), 2),
         "spread_p90_mm": round(float(np.quantile(points.spread_mm[there], 0.9)), 2),
         **counts,
         "picture": None if picture is None else str(picture),
         "seconds": round(time.monotonic() - began, 1),
     }
+
+
+def _found(points: SurfacePoints) -> int:
+    """How many points have a place."""
+    return int((points.triangles[:, 0] >= 0).sum())
 
 
 def _head(template: Template) -> Coloured:

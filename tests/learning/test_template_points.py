@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from learning.errors import LearningError
-from learning.points import find
+from learning.points import command, find
 from learning.points.find import PointsConfig, find_points
 from learning.points.paint import painted
 from learning.points.pictures import Coloured, Lamp, camera_at, direction, pictures_of
 from lightstage.formats.mesh import Mesh
-from lightstage.formats.template import default_template_path, load_template
+from lightstage.formats.population import POINTS_FILE
+from lightstage.formats.template import default_template_path, load_template, save_template
 
 
 @pytest.fixture(scope="module")
@@ -87,3 +88,37 @@ def test_a_template_of_no_regions_is_all_skin_but_for_brows(template):
     light = np.allclose(np.median(colours, axis=0), (0.50, 0.30, 0.22))
     assert light
     assert (colours[template.landmarks[19]] < 0.1).all()
+
+
+def test_points_are_found_on_the_peoples_mean_head_too(template, tmp_path, monkeypatch):
+    folder = save_template(template, tmp_path / "T")
+    (folder / POINTS_FILE).unlink()
+    seen = []
+
+    def found(head, progress):
+        seen.append(head.mesh.vertices)
+        return template.face_points, {"pictures": 1, "faces": 1}
+
+    monkeypatch.setattr(command, "find_points", found)
+    facts = command.template_points(folder, None, tmp_path / "seen.png", lambda *_: None)
+    mesh, mean = seen
+    assert np.allclose(mesh, template.mesh.vertices, atol=1e-3)
+    assert np.allclose(mean, template.population.mean_mm, atol=1e-3)
+    assert facts["found_on_people"] == facts["found"]
+    again = load_template(folder).population.face_points
+    assert np.array_equal(again.triangles, template.face_points.triangles)
+    assert (tmp_path / "seen.png").is_file()
+
+
+def test_points_for_another_place_leave_the_folder_alone(template, tmp_path, monkeypatch):
+    folder = save_template(template, tmp_path / "T")
+    before = (folder / POINTS_FILE).read_bytes()
+
+    def found(head, progress):
+        return template.face_points, {"pictures": 1, "faces": 1}
+
+    monkeypatch.setattr(command, "find_points", found)
+    facts = command.template_points(folder, tmp_path / "points.json", None, lambda *_: None)
+    assert facts["found_on_people"] is None
+    assert (folder / POINTS_FILE).read_bytes() == before
+    assert (tmp_path / "points.json").is_file()
