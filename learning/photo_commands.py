@@ -200,7 +200,8 @@ def template_points(
     finish(
         f"{facts['points']}: {facts['found']} points{beside}, "
         f"{facts['absent']} without a place, lines of sight {facts['spread_median_mm']} mm apart "
-        f"(median), a face in {facts['faces']} of {facts['pictures']} pictures, {facts['seconds']:.0f} s",
+        f"(median), a face in {facts['faces']} of {facts['pictures']} pictures, "
+        f"{facts['seconds']:.0f} s",
         facts,
         as_json,
     )
