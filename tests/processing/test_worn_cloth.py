@@ -126,13 +126,14 @@ def test_pieces_are_chosen_by_their_own_area() -> None:
     assert larger_pieces(both, np.array([True, False, True, True]), 33.0).sum() == 0
 
 
-def test_regions_without_a_normal_and_what_is_beside_them_are_not_matched_as_skin() -> None:
+def test_thin_regions_without_a_normal_and_what_is_beside_them_are_not_matched_as_skin() -> None:
     camera = CAMERAS[0]
     shape = (camera.height_px, camera.width_px)
     normals = np.zeros((*shape, 3), np.float32)
     normals[..., 2] = 1
     normals[30] = 0
     normals[60, 20:22] = 0  # a pupil
+    normals[80:95, 10:60] = 0  # hair
     mask = np.ones(shape, bool)
     mask[:10] = False
     view = View(camera, np.ones((*shape, 4), np.float32), mask, normals)
