@@ -64,4 +64,4 @@ def _thin(region: np.ndarray, mask: np.ndarray, px_mm: float) -> np.ndarray:
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     wide = cv2.dilate(cv2.morphologyEx(region, cv2.MORPH_OPEN, disc), disc)
     inside = cv2.erode(mask.astype(np.uint8), disc)
-    return np.asarray(region & ~wide & inside)
+    return np.asarray(region & (1 - wide) & inside)

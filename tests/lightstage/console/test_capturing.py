@@ -342,8 +342,8 @@ def test_a_question_shows_its_photograph_and_reports_that_the_camera_is_set_back
         browser.wait('document.body.innerText.includes("WAITING FOR YOU")')
         browser.wait("document.querySelector('.concerned img').naturalWidth > 0")
         for part in (".concerned img", "[data-key=r]", "[data-key=a]"):
-            place = f"document.querySelector('{part}').getBoundingClientRect()"
-            assert browser.js(f"{place}.bottom") <= 800, part
+            # The page is drawn anew meanwhile, so that for a moment a part may be missing.
+            browser.wait(f"document.querySelector('{part}')?.getBoundingClientRect().bottom <= 800")
         text = browser.js("document.querySelector('main').innerText")
         assert text.count("ISO in the file") == 1
         assert text.count("The setting is set back on the camera in any case") == 1
