@@ -181,6 +181,9 @@ def refine(
     answer = dataclasses.replace(answer, specular=found.gloss * answer.specular)
     followed = _Followed(mesh, raster, light, fit, here, camera_mm)
     unlit, known = followed.taken_out(texture, photographed, answer.specular, low_albedo)
+    if own.whole is not None:
+        # A dark iris is no shadow, and has its own colour in place of the mean person's.
+        known |= own.whole & photographed
     normals = None
     if mesostructure is not None and len(texture) >= mesostructure.least_rows:
         found_there = find(mesostructure, unlit, known, followed.slope(), followed.level)

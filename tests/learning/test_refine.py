@@ -185,3 +185,25 @@ def test_shares_of_nothing_leave_the_skins_that_people_have_and_whole_texels_sta
     # With all of its detail the texture differs by what is coarse alone.
     all_detail = np.log(albedo(refine.OwnShares(0.0, 1.0)) / unlit)
     assert all_detail.std() < 0.5 * np.log(unlit / 0.3).std()
+
+
+def test_a_dark_iris_keeps_its_own_colour_where_eyes_are_taken_whole(
+    people: list[ProcessedFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network, _ = load_whole_face(shipped_weights())
+    mesh, texture, _, skin = photographed(people[0])
+    rows, columns = np.nonzero(skin)
+    iris = np.zeros_like(skin)
+    middle = int(np.median(rows)), int(np.median(columns))
+    iris[middle[0] - 4 : middle[0] + 5, middle[1] - 4 : middle[1] + 5] = True
+    iris &= skin
+    brown = np.where(iris[..., None], 0.05 * texture, texture).astype(np.float32)
+    own = dataclasses.replace(refine.OF_TRUE_SHAPES, whole=iris)
+    # As beside an edge of light, where what is far darker than skin is no skin.
+    monkeypatch.setattr(refine, "misplaced", lambda *_: iris)
+    light, dark = (
+        infer_whole_face(network, each, mesh, refine_seconds=600, network_sees=~iris, own=own)
+        for each in (texture, brown)
+    )
+    ratio = dark.maps["diffuse_albedo"][iris] / light.maps["diffuse_albedo"][iris]
+    assert np.median(ratio) < 0.1
