@@ -111,9 +111,10 @@ def test_a_process_that_is_killed_is_reported_and_what_is_whole_is_kept(people, 
             os.kill(child.pid, signal.SIGKILL)
 
     with pytest.raises(SimError, match=r"--jobs: found one of 2 processes was ended .* --rows"):
-        write_people(plan(tmp_path / "out", 3, 1, 7), jobs=2, progress=kill_the_worker)
+        write_people(plan(tmp_path / "out", 5, 1, 7), jobs=2, progress=kill_the_worker)
     assert (tmp_path / "out" / "person-0000-neutral" / MADE_FROM).is_file()
-    assert 1 <= write_people(plan(tmp_path / "out", 3, 1, 7), jobs=1) <= 2
+    # Of five some are left even where this process is told late that the first one is made.
+    assert 1 <= write_people(plan(tmp_path / "out", 5, 1, 7), jobs=1) <= 4
     kept = "person-0000-neutral"
     assert fingerprint(tmp_path / "out" / kept) == fingerprint(people[0] / kept)
 
