@@ -9,13 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from learning.points.find import SCHEME, find_points
+from learning.points.find import find_points
 from learning.points.paint import painted
 from learning.points.pictures import Coloured, Lamp, camera_at, pictures_of
 from lightstage.commands import ProgressCallback
 from lightstage.formats.png import write_png
-from lightstage.formats.population import write_population
-from lightstage.formats.surface_points import SurfacePoints, file_name, write_surface_points
+from lightstage.formats.population import POINTS_FILE
+from lightstage.formats.surface_points import (
+    FACE_SCHEME,
+    SurfacePoints,
+    file_name,
+    write_surface_points,
+)
 from lightstage.formats.template import Template, load_template
 
 SHOWN_YAWS_DEG = (-35.0, 0.0, 35.0)
@@ -52,8 +57,8 @@ def template_points(
         mean = dataclasses.replace(template, mesh=template.mesh.with_vertices(people.mean_mm))
         head = _head(mean)
         mean_points, _ = find_points(head, progress=progress)
-        write_population(dataclasses.replace(people, face_points=mean_points), path)
-    written = write_surface_points(points, out or path / file_name(SCHEME))
+        write_surface_points(mean_points, path / POINTS_FILE)
+    written = write_surface_points(points, out or path / file_name(FACE_SCHEME))
     if picture is not None:
         write_png(picture, drawn(head, mean_points or points))
     there = points.triangles[:, 0] >= 0

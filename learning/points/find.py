@@ -17,9 +17,8 @@ from learning.errors import LearningError
 from learning.points.pictures import Coloured, Lamp, camera_at, pictures_of
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.faces import detect_faces
-from lightstage.formats.surface_points import SurfacePoints
+from lightstage.formats.surface_points import FACE_SCHEME, SurfacePoints
 
-SCHEME = "mediapipe468"
 OFF_MM = 0.5
 """Rays begin so far off the mesh, towards the camera and along the normal."""
 
@@ -103,7 +102,7 @@ def _surface_points(
     spread = np.nanmedian(away, axis=0)
     there &= spread <= config.largest_spread_mm
     return SurfacePoints(
-        SCHEME,
+        FACE_SCHEME,
         np.where(there[:, None], near.corners, -1),
         np.where(there[:, None], near.weights, np.nan),
         np.where(there, spread, np.nan),

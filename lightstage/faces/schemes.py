@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from lightstage.faces.detect import Face
+from lightstage.formats.surface_points import FACE_SCHEME
 
-FACE_MESH = "mediapipe468"
+FACE_MESH = FACE_SCHEME
 IBUG = "ibug68"
 SCHEMES = (FACE_MESH, IBUG)
 _JAW = [127, 234, 93, 58, 172, 136, 149, 148, 152, 377, 378, 365, 397, 288, 323, 454, 356]

@@ -15,6 +15,7 @@ from lightstage.errors import FormatError
 from lightstage.formats.files import atomic_path
 from lightstage.formats.npz import UNREADABLE_NPZ
 from lightstage.formats.surface_points import (
+    FACE_SCHEME,
     SurfacePoints,
     file_name,
     read_surface_points,
@@ -22,7 +23,6 @@ from lightstage.formats.surface_points import (
 )
 
 FILE = "population.npz"
-FACE_SCHEME = "mediapipe468"
 POINTS_FILE = f"population_{file_name(FACE_SCHEME)}"
 
 

@@ -12,7 +12,9 @@ from lightstage.errors import FormatError
 from lightstage.formats.files import read_json, write_json
 
 SCHEMA = "lightstage.surface_points/1"
-COUNTS = {"mediapipe468": 468}
+FACE_SCHEME = "mediapipe468"
+"""The face detector's points."""
+COUNTS = {FACE_SCHEME: 468}
 """Points of each scheme."""
 LEAST_WEIGHT = -1e-6
 """What rounding may leave of a weight that is zero."""

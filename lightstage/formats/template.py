@@ -14,13 +14,9 @@ from lightstage.formats.fields import Fields
 from lightstage.formats.files import atomic_path, read_json, write_json
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
 from lightstage.formats.npz import UNREADABLE_NPZ
-from lightstage.formats.population import (
-    FACE_SCHEME,
-    Population,
-    read_population,
-    write_population,
-)
+from lightstage.formats.population import Population, read_population, write_population
 from lightstage.formats.surface_points import (
+    FACE_SCHEME,
     SurfacePoints,
     file_name,
     read_surface_points,
