@@ -28,6 +28,7 @@ from processing.pages import lacks_head, write_processed_report
 from processing.reconstruction.given import require_given
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
 from processing.records import (
+    EVALUATION,
     REPORT_SCHEMA,
     RUN_LOCK,
     MadeFrom,
@@ -395,6 +396,8 @@ def _run_stage(
         # From its first file on, what `separate` left in views/ is no longer all there.
         own = [name for name in kept["separate"].outputs if not name.startswith(VIEWS)]
         kept["separate"] = dataclasses.replace(kept["separate"], outputs=own)
+    # What `evaluate` found was of other maps than those that are made now.
+    (job.out / EVALUATION).unlink(missing_ok=True)
     if stage == "separate":
         # Maps in views/ are of other coarse ones; `refine`, or the run's end, writes them anew.
         for path in (job.out / VIEWS).glob("*/*.exr"):
@@ -408,7 +411,8 @@ def _run_stage(
     give_back()
     after = files_in(job.out)
     outputs = sorted(name for name in after if after[name] != before.get(name))
-    kept[stage] = Record(inputs.key, outputs, facts, inputs.parts)
+    config = as_dict(getattr(job.config, stage))
+    kept[stage] = Record(inputs.key, outputs, facts, inputs.parts, config)
     write_records(job.out, job.made_from, kept)
     return kept
 
@@ -451,7 +455,10 @@ def _write_views(job: Job, records: dict[str, Record], bar: Bar) -> dict[str, Re
 
 
 def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:
-    """Write OUT/report.json from the finished stages; returns its content."""
+    """Write OUT/report.json from the finished stages; returns its content.
+
+    The settings are those that each stage ran with, which may be others than this run's.
+    """
     stages = {name: dict(records[name].facts) for name in STAGES if name in records}
     warnings = [
         f"{name}: {warning}"
@@ -467,7 +474,7 @@ def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:
         "stages": stages,
         "warnings": warnings,
         "versions": versions(),
-        "config": {stage: as_dict(getattr(job.config, stage)) for stage in STAGES},
+        "config": {name: record.config for name, record in records.items()},
     }
     write_json(job.out / "report.json", report)
     return report

@@ -112,6 +112,33 @@ def test_a_second_run_does_nothing_and_a_changed_setting_reruns_its_stage(
     assert coarse(session, out, read_config(toml)) == ["separate"]
 
 
+def test_the_report_states_the_settings_that_each_stage_ran_with(
+    session: Path, tmp_path: Path
+) -> None:
+    out, toml = tmp_path / "out", tmp_path / "c.toml"
+    toml.write_text("[decode]\nclip_share = 0.9\n[separate]\nroughness = 0.3\n")
+    coarse(session, out, read_config(toml))
+    toml.write_text("[decode]\nclip_share = 0.9\n[separate]\nroughness = 0.4\n")
+    assert run(session, out, TEMPLATE, read_config(toml), until="decode")["ran"] == []
+    written = json.loads((out / "report.json").read_text())["config"]
+    assert set(written) == {"decode", "separate"}
+    assert written["decode"]["clip_share"] == 0.9
+    assert written["separate"]["roughness"] == 0.3
+
+
+def test_errors_against_truth_do_not_outlive_the_maps_that_they_are_of(
+    session: Path, tmp_path: Path
+) -> None:
+    out, toml = tmp_path / "out", tmp_path / "c.toml"
+    coarse(session, out)
+    (out / "evaluation.json").write_text("{}")
+    assert coarse(session, out) == []
+    assert (out / "evaluation.json").exists()
+    toml.write_text("[separate]\nroughness = 0.3\n")
+    assert coarse(session, out, read_config(toml)) == ["separate"]
+    assert not (out / "evaluation.json").exists()
+
+
 def test_a_changed_photograph_reruns_everything(session: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     coarse(session, out)
