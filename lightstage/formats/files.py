@@ -104,8 +104,17 @@ def require_replaceable(path: Path, marker: str, kind: str | None = None) -> Non
         kind: the `kind` that the marker, a JSON object, must have; None where its name is enough.
 
     Raises:
-        FormatError: `path` is a file, or a folder that holds something and is of another kind.
+        FormatError: `path` is a file, a folder that holds something and is of another kind, or
+            named from within, as `.`.
     """
+    if path.name in ("", ".."):
+        # It is replaced as a whole, and whoever is in it would be left in a folder that is gone.
+        raise FormatError(
+            path,
+            found="the working folder, or one above it",
+            expected="a folder that is named by its own name",
+            hint="Go to the folder above and name it from there.",
+        )
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
     found = ""

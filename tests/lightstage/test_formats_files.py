@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+from pathlib import Path
 
 import pytest
 
@@ -147,3 +148,15 @@ def test_a_minor_version_is_taken(tmp_path):
 def test_a_hash_is_of_the_bytes_on_disk(tmp_path):
     data = os.urandom(300_000)
     assert sha256_file(write_bytes(tmp_path / "a", data)) == hashlib.sha256(data).hexdigest()
+
+
+@pytest.mark.parametrize("name", [".", "..", "inner/.."])
+def test_a_folder_that_is_named_from_within_is_refused(tmp_path, monkeypatch, name):
+    (tmp_path / "here" / "inner").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "here")
+    with (
+        pytest.raises(FormatError, match="found the working folder, or one above it"),
+        atomic_folder(Path(name), "marker.json"),
+    ):
+        pass
+    assert [path.name for path in tmp_path.rglob("*")] == ["here", "inner"]
