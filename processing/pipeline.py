@@ -19,6 +19,8 @@ from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
 from processing.atlas.config import AtlasConfig
 from processing.atlas.stage import atlas
+from processing.batch.config import take_batch
+from processing.bounds import require_possible
 from processing.coarse_maps import has_coarse, write_as_views
 from processing.decode.completing import unmendable_frames, with_complements
 from processing.decode.config import DecodeConfig
@@ -119,6 +121,8 @@ def read_config(
 ) -> PipelineConfig:
     """Defaults, overridden by a TOML file, overridden by the command line.
 
+    The file may be that of a batch: its table [batch] is read and has no effect.
+
     Args:
         path: the file.
         atlas_rows: height of the atlas in texels.
@@ -127,10 +131,13 @@ def read_config(
         force: continue where photographs contradict each other or their patterns.
 
     Raises:
-        ConfigError: an unknown table or key, or a value of another type.
+        ConfigError: an unknown table or key, a value of another type, or one that no stage can
+            work with (`bounds`).
     """
     values = {} if path is None else read_toml(path)
-    found = config_of(values, path or "configuration", atlas_rows, mesh, occluders)
+    where = path or "configuration"
+    take_batch(values, where)
+    found = config_of(values, where, atlas_rows, mesh, occluders)
     return found.as_forced() if force else found
 
 
@@ -147,6 +154,7 @@ def config_of(
         config = dataclasses.replace(
             config, atlas=dataclasses.replace(config.atlas, rows=atlas_rows)
         )
+    require_possible(config, where)
     given = {"mesh": mesh, "occluders": occluders}
     meshes: dict[str, Any] = {name: str(file) for name, file in given.items() if file is not None}
     return dataclasses.replace(
@@ -370,8 +378,8 @@ def _only(
     """One stage; `separate` decodes first where that is stale, since it has no command."""
     before = job.stages[: job.stages.index(stage)]
     if stage == "separate":
-        fresh = "decode" in records and records["decode"].key == inputs["decode"].key
-        return ["separate"] if fresh else ["decode", "separate"]
+        stale = why_stale(records.get("decode"), inputs["decode"], None, job.out)
+        return ["separate"] if stale is None else ["decode", "separate"]
     missing = [name for name in before if name not in records]
     if "separate" in before and stage in READS_COARSE and "separate" not in missing:
         # An older version wrote coarse maps to views/ alone, where `refine` overwrote them.

@@ -61,8 +61,8 @@ def batch_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """Every session from photographs to the atlas; what is up to date is skipped."""
-    from lightstage.formats.config import make_config, read_toml
-    from processing.batch.config import BatchConfig
+    from lightstage.formats.config import read_toml
+    from processing.batch.config import take_batch
     from processing.pipeline import STAGES, config_of
 
     if until not in STAGES:
@@ -70,7 +70,7 @@ def batch_command(
     count = wanted_workers(workers)
     values = {} if config is None else read_toml(config)
     where = config or "configuration"
-    settings = make_config(BatchConfig, values.pop("batch", {}), f"{where}, [batch]")
+    settings = take_batch(values, where)
     stages = config_of(values, where, atlas_rows)
     opened = _read(sessions)
     given = {str(s.root): (s.file.model_extra or {}).get("consent") for s in opened}

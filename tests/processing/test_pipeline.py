@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import sha256_file
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
+from processing import bounds
 from processing.errors import ProcessingError, RegistrationError
 from processing.frames.read import Frames, read_frames, write_frames
 from processing.masks import foreground
@@ -216,6 +218,57 @@ def test_unknown_keys_and_stages_exit_2(
     assert "polish" in done.err
 
 
+def test_a_batchs_file_serves_run_too_and_its_table_is_checked(tmp_path: Path) -> None:
+    toml = tmp_path / "c.toml"
+    toml.write_text("[batch]\ntries = 2\n[separate]\nroughness = 0.3\n")
+    assert read_config(toml).separate.roughness == 0.3
+    for text, message in (
+        ("batch = 3", r"c\.toml, batch: found 3, expected"),
+        ("[batch]\ntris = 2", r"\[batch\], tris: found an unknown key"),
+        ("[batch]\ntries = 0", "tries: found 0, expected from 1 to 100"),
+    ):
+        toml.write_text(text)
+        with pytest.raises(ConfigError, match=message):
+            read_config(toml)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[decode]\nclip_share = 99", r"decode\.clip_share: found 99\.0, expected from 0\.1 to 1"),
+        ("[decode.prepare]\nstill_px = -1.0", r"still_px: found -1\.0, expected 0 or more"),
+        ("[reconstruct]\npatch_stride_px = 0", r"patch_stride_px: found 0, expected from 1 to"),
+        ("[reconstruct]\niterations = [3, -2]", r"reconstruct\.iterations: found -2"),
+        ("[refine]\nscattering = []", r"refine\.scattering: found no value, expected at least one"),
+        ("[register.nonrigid]\nstiffness_mm = []", r"stiffness_mm: found no value"),
+        ("[atlas]\nlargest_gap_mm = 0", r"atlas\.largest_gap_mm: found 0\.0, expected 0\.001"),
+    ],
+)
+def test_settings_that_no_stage_can_work_with_are_refused_by_file_and_name(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    toml = tmp_path / "c.toml"
+    toml.write_text(text)
+    with pytest.raises(ConfigError, match=rf"c\.toml, .*{message}"):
+        read_config(toml)
+
+
+def test_the_defaults_are_possible_and_every_bound_is_of_a_setting() -> None:
+    settings = dict(bounds.all_settings(PipelineConfig()))
+    bounds.require_possible(PipelineConfig(), "defaults")
+    assert bounds.BOUNDS.keys() <= settings.keys()
+
+
+def test_a_batch_refuses_a_table_of_its_own_that_is_none(
+    session: Path, tmp_path: Path, command: Callable[..., Any]
+) -> None:
+    toml = tmp_path / "c.toml"
+    toml.write_text("batch = 3")
+    done = command("batch", session, "--out", tmp_path / "out", "--config", toml)
+    assert (done.code, (tmp_path / "out").exists()) == (2, False)
+    assert "batch: found 3" in done.err
+
+
 def test_a_stage_without_those_before_it_states_what_to_run(session: Path, tmp_path: Path) -> None:
     with pytest.raises(ProcessingError, match="--until reconstruct"):
         run(session, tmp_path / "out", TEMPLATE, PipelineConfig(), only="refine")
@@ -233,6 +286,15 @@ def test_separate_alone_decodes_first_and_prints_facts(
     assert report["consent"] is None
     assert report["stages"]["separate"]["seconds"] >= 0
     assert report["stages"]["separate"]["peak_rss_mb"] > 10
+
+
+def test_separate_alone_decodes_again_what_was_removed(session: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    coarse(session, out)
+    again = functools.partial(run, session, out, TEMPLATE, PipelineConfig(), only="separate")
+    assert again()["ran"] == ["separate"]
+    shutil.rmtree(out / "work")
+    assert again()["ran"] == ["decode", "separate"]
 
 
 def test_the_report_carries_the_id_of_the_sessions_consent_record(
