@@ -30,6 +30,7 @@ from lightstage.formats.template import default_template_path
 from processing import dataset_commands
 from processing.atlas.config import AtlasConfig
 from processing.batch import command as batch_command
+from processing.batch.config import take_batch
 from processing.calibration import command as calibration_command
 from processing.calibration.cameras import command as cameras_command
 from processing.calibration.lights import wiring_command
@@ -166,7 +167,7 @@ def _process(
 ) -> None:
     from processing import pipeline
 
-    settings = pipeline.read_config(config, atlas_rows, *meshes, force=force)
+    settings = pipeline.read_config(config, atlas_rows, *meshes, force=force, take=take_batch)
     with limited_access(group_of([session])):
         report = pipeline.run(
             session, out, template, settings, until=until, only=only, bar=progress_bar
@@ -197,7 +198,7 @@ def _why(
     """Print which stages would run, and why."""
     from processing import pipeline
 
-    settings = pipeline.read_config(config, atlas_rows, *meshes, force=force)
+    settings = pipeline.read_config(config, atlas_rows, *meshes, force=force, take=take_batch)
     reasons = pipeline.why(pipeline.read_job(session, out, template, settings, until), until)
     lines = [f"{stage}: {reason or 'up to date'}" for stage, reason in reasons.items()]
     finish("\n".join(lines), {"out": str(out), "stages": reasons}, as_json)

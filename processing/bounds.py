@@ -1,4 +1,4 @@
-"""Settings of the stages that no stage can work with, refused before any work begins."""
+"""Settings that no stage and no calibration can work with, refused before any work begins."""
 
 from __future__ import annotations
 
@@ -51,6 +51,14 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "atlas.largest_gap_mm": (SOME, MOST),
     "atlas.blend.weights.feather_mm": (SOME, MOST),
     "atlas.blend.weights.least_cos": (0, 1),
+    "chart.max_tilt_deg": (0, 90),
+    "chart.clip_share": (0.1, 1),
+    "flat.grid_px": (2, MOST),
+    "flat.min_level": (0, 1),
+    "grey.radius_mm": (1, MOST),
+    "grey.reflectance": (0.01, 1),
+    "grey.facing": (0, 1),
+    "grey.lit_share": (0, 1),
 }
 """Least and largest value of a setting, also of each of several; of all others 0 and `MOST`."""
 
@@ -59,7 +67,7 @@ def require_possible(config: Any, where: str | Path) -> None:
     """Refuse numbers outside their bounds, and an empty list of numbers; all in one message.
 
     Args:
-        config: of all stages, a dataclass for each.
+        config: of all stages, or of `calibrate`: a dataclass with one for each.
         where: what errors name, such as the TOML file.
 
     Raises:

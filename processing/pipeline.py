@@ -19,7 +19,6 @@ from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
 from processing.atlas.config import AtlasConfig
 from processing.atlas.stage import atlas
-from processing.batch.config import take_batch
 from processing.bounds import require_possible
 from processing.coarse_maps import has_coarse, write_as_views
 from processing.decode.completing import unmendable_frames, with_complements
@@ -118,10 +117,9 @@ def read_config(
     occluders: Path | None = None,
     *,
     force: bool = False,
+    take: Callable[[dict[str, Any], str | Path], object] | None = None,
 ) -> PipelineConfig:
     """Defaults, overridden by a TOML file, overridden by the command line.
-
-    The file may be that of a batch: its table [batch] is read and has no effect.
 
     Args:
         path: the file.
@@ -129,6 +127,7 @@ def read_config(
         mesh: of the head, in place of a reconstructed one.
         occluders: mesh of what else casts shadows.
         force: continue where photographs contradict each other or their patterns.
+        take: takes tables that are no stage's out of the file's values, such as `take_batch`.
 
     Raises:
         ConfigError: an unknown table or key, a value of another type, or one that no stage can
@@ -136,7 +135,8 @@ def read_config(
     """
     values = {} if path is None else read_toml(path)
     where = path or "configuration"
-    take_batch(values, where)
+    if take is not None:
+        take(values, where)
     found = config_of(values, where, atlas_rows, mesh, occluders)
     return found.as_forced() if force else found
 

@@ -20,6 +20,7 @@ from lightstage.formats.files import sha256_file
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
 from processing import bounds
+from processing.calibration.config import CalibrateConfig
 from processing.errors import ProcessingError, RegistrationError
 from processing.frames.read import Frames, read_frames, write_frames
 from processing.masks import foreground
@@ -218,18 +219,24 @@ def test_unknown_keys_and_stages_exit_2(
     assert "polish" in done.err
 
 
-def test_a_batchs_file_serves_run_too_and_its_table_is_checked(tmp_path: Path) -> None:
+def test_a_batchs_file_serves_run_too_and_its_table_is_checked(
+    session: Path, tmp_path: Path, command: Callable[..., Any]
+) -> None:
     toml = tmp_path / "c.toml"
+    ask = functools.partial(
+        command, "run", session, "--out", tmp_path / "out", "--config", toml, "--why"
+    )
     toml.write_text("[batch]\ntries = 2\n[separate]\nroughness = 0.3\n")
-    assert read_config(toml).separate.roughness == 0.3
+    assert ask("--until", "separate").code == 0
     for text, message in (
-        ("batch = 3", r"c\.toml, batch: found 3, expected"),
-        ("[batch]\ntris = 2", r"\[batch\], tris: found an unknown key"),
+        ("batch = 3", "c.toml, batch: found 3, expected"),
+        ("[batch]\ntris = 2", "[batch], tris: found an unknown key"),
         ("[batch]\ntries = 0", "tries: found 0, expected from 1 to 100"),
     ):
         toml.write_text(text)
-        with pytest.raises(ConfigError, match=message):
-            read_config(toml)
+        done = ask()
+        assert done.code == 2
+        assert message in done.err
 
 
 @pytest.mark.parametrize(
@@ -254,9 +261,11 @@ def test_settings_that_no_stage_can_work_with_are_refused_by_file_and_name(
 
 
 def test_the_defaults_are_possible_and_every_bound_is_of_a_setting() -> None:
-    settings = dict(bounds.all_settings(PipelineConfig()))
-    bounds.require_possible(PipelineConfig(), "defaults")
-    assert bounds.BOUNDS.keys() <= settings.keys()
+    names = set()
+    for config in (PipelineConfig(), CalibrateConfig()):
+        bounds.require_possible(config, "defaults")
+        names |= dict(bounds.all_settings(config)).keys()
+    assert bounds.BOUNDS.keys() <= names
 
 
 def test_a_batch_refuses_a_table_of_its_own_that_is_none(
