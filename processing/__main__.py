@@ -239,6 +239,18 @@ def register_mesh(
     from processing.registration.start import landmarks_unit, require_surface
     from processing.units import MM, axis_name, largest_side, likely_unit
 
+    if landmarks is not None and landmark_command is not None:
+        raise ProcessingError(
+            "--landmark-command", found="it beside --landmarks", expected="one of the two"
+        )
+    if out.exists() and mesh.exists() and out.samefile(mesh):
+        raise ProcessingError(
+            out,
+            field="--out",
+            found="the scan itself",
+            expected="another file",
+            hint="The registered mesh would take the scan's place.",
+        )
     shape, scan = load_template(template), read_mesh(mesh)
     settings = pipeline.read_config(config).register
     command = landmark_command or settings.landmark_command
@@ -308,6 +320,7 @@ def build(
     processed: list[Path] = typer.Argument(..., help="Processed folders.", show_default=False),
     out: Path = output_folder("--out", help="Store to make."),
     overwrite: bool = Overwrite,
+    consents: Path | None = ConsentsOption,
     as_json: bool = JsonFlag,
 ) -> None:
     """The lab's store: whole maps of every scan."""
@@ -323,7 +336,7 @@ def build(
     require_new(out, overwrite, DATASET, STORE)
     folders, passed = without_people_files(processed)
     with limited_access(group_of(folders)), progress_bar("dataset build") as progress:
-        build_store(folders, out, progress)
+        build_store(folders, out, progress, consents)
     scans = open_store(out).scans
     subjects = len({scan.subject for scan in scans})
     unasked = len({s.subject for s in scans if not (s.consent or s.synthetic)})

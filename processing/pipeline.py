@@ -248,7 +248,15 @@ def read_job(
         raise one_error(problems)
     require_own(out)
     patterns = lit_patterns(session)
-    normals = last == STAGES[0] or not patterns or give_normals(session, patterns)
+    if not patterns:
+        raise ProcessingError(
+            session.root / "session.json",
+            field="sequence",
+            found=f"no pattern with light among {', '.join(session.file.sequence) or 'none'}",
+            expected="photographs of a lit face",
+            hint="Is the capture finished? `lightstage check SESSION` shows what is there.",
+        )
+    normals = last == STAGES[0] or give_normals(session, patterns)
     if last in WITH_NORMALS and not normals:
         raise no_normals(patterns)
     if not (template_path / "template.json").is_file():

@@ -52,7 +52,8 @@ def batch_command(
     workers: str = typer.Option(
         "auto",
         "--workers",
-        help="Workers of this machine: a number, or auto for as many as its memory holds.",
+        help="Workers of this machine: a number, or auto for as many as its memory holds; a "
+        "scheduler has its own.",
     ),
     consents: Path | None = ConsentsOption,
     scheduler: str | None = typer.Option(
@@ -68,6 +69,13 @@ def batch_command(
     if until not in STAGES:
         raise ProcessingError("--until", found=repr(until), expected=", ".join(STAGES))
     count = wanted_workers(workers)
+    if count is not None and scheduler is not None:
+        raise ConfigError(
+            "--workers",
+            found="it beside --scheduler",
+            expected="one of the two",
+            hint="A scheduler's workers are started with `dask worker`.",
+        )
     values = {} if config is None else read_toml(config)
     where = config or "configuration"
     settings = take_batch(values, where)

@@ -207,6 +207,23 @@ def test_missing_and_changed_photographs_exit_2_and_write_nothing(
     assert "2 problems" in done.err
 
 
+@pytest.mark.parametrize("sequence", [[], ["dark"]])
+def test_a_session_without_a_lit_photograph_exits_2_and_writes_nothing(
+    session: Path, tmp_path: Path, command: Callable[..., Any], sequence: list[str]
+) -> None:
+    file = session / "session.json"
+    value = json.loads(file.read_text())
+    frames = [{**f, "pattern": "dark"} for f in value["frames"] if f["pattern"] == "full"]
+    kept = {"sequence": sequence, "frames": frames if sequence else [], "patterns": {}}
+    file.write_text(json.dumps({**value, **kept}))
+    for stage in ("decode", "separate", "atlas"):
+        done = command("run", session, "--out", tmp_path / "out", "--until", stage)
+        assert done.code == 2
+        assert "session.json, sequence: found no pattern with light among " in done.err
+        assert "Traceback" not in done.err
+        assert not (tmp_path / "out").exists()
+
+
 def test_unknown_keys_and_stages_exit_2(
     session: Path, tmp_path: Path, command: Callable[..., Any]
 ) -> None:
