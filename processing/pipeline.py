@@ -15,6 +15,7 @@ from lightstage.errors import FormatError, one_error
 from lightstage.formats.config import as_dict, make_config, read_toml
 from lightstage.formats.files import write_json
 from lightstage.formats.lock import locked
+from lightstage.formats.mesh import read_ply
 from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
 from processing.atlas.config import AtlasConfig
@@ -26,6 +27,7 @@ from processing.decode.config import DecodeConfig
 from processing.decode.stage import decode, lit_patterns
 from processing.errors import ProcessingError
 from processing.pages import lacks_head, write_processed_report
+from processing.reconstruction.colmap_folder import require_maps
 from processing.reconstruction.given import require_given
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
 from processing.records import (
@@ -202,7 +204,7 @@ def run(
     last = only or until
     job = read_job(session_path, out, template_path, config, last)
     # What these refuse is refused before the folder is made.
-    require_given(config.reconstruct)
+    _require_named(config)
     _plan(job, last, only)
     with locked(out / RUN_LOCK, busy(out)):
         remove_leftovers(out)
@@ -216,6 +218,20 @@ def run(
         if planned or lacked or lacks_head(out):
             write_processed_report(out, report)
     return {**report, "ran": planned}
+
+
+def _require_named(config: PipelineConfig) -> None:
+    """Read the meshes, and find the depth maps, that a configuration names.
+
+    Raises:
+        FormatError: no such file or folder, or no mesh and no depth map.
+        ReconstructionError: a mesh in another unit than mm.
+    """
+    if config.decode.mesh:
+        read_ply(Path(config.decode.mesh))
+    require_given(config.reconstruct)
+    if config.reconstruct.colmap_from:
+        require_maps(Path(config.reconstruct.colmap_from))
 
 
 def read_job(
@@ -305,7 +321,7 @@ def run_next(job: Job, last: str = STAGES[-1], bar: Bar = no_bar) -> tuple[str |
     Raises:
         LightstageError: as `run`; ProcessingError also where another run holds the folder.
     """
-    require_given(job.config.reconstruct)
+    _require_named(job.config)
     with locked(job.out / RUN_LOCK, busy(job.out)):
         remove_leftovers(job.out)
         records, inputs, planned = _plan(job, last, None)

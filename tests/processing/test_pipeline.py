@@ -224,6 +224,29 @@ def test_a_session_without_a_lit_photograph_exits_2_and_writes_nothing(
         assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[decode]\nmesh = "none.ply"', "none.ply: found no such file"),
+        ('[reconstruct]\ncolmap_from = "none"', "none: found no such folder, expected stereo/"),
+        ('[reconstruct]\ncolmap_from = "."', "found no depth map, expected stereo/depth_maps"),
+    ],
+)
+def test_files_that_a_configuration_names_are_found_before_any_stage_runs(
+    session: Path,
+    tmp_path: Path,
+    command: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    text: str,
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("c.toml").write_text(text)
+    done = command("run", session, "--out", "out", "--config", "c.toml", "--until", "reconstruct")
+    assert (done.code, Path("out").exists()) == (2, False)
+    assert message in done.err
+
+
 def test_unknown_keys_and_stages_exit_2(
     session: Path, tmp_path: Path, command: Callable[..., Any]
 ) -> None:
