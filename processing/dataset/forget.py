@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import json
 import os
 import re
 import shutil
@@ -453,7 +454,14 @@ def _recorded(session: Path) -> dict[Path, str]:
 
 
 def _word(subject: str) -> re.Pattern[str]:
-    return re.compile(rf"(?<![\w-]){re.escape(subject)}(?![\w-])")
+    return re.compile(rf"(?<![\w-]){''.join(map(_letter, subject))}(?![\w-])")
+
+
+def _letter(letter: str) -> str:
+    """A pattern of a letter, also as JSON escapes it, ours too, where it is beyond ASCII."""
+    if letter.isascii():
+        return re.escape(letter)
+    return f"(?:{re.escape(letter)}|(?i:{re.escape(json.dumps(letter)[1:-1])}))"
 
 
 def _names(path: Path, subject: str) -> bool:

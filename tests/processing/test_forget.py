@@ -137,6 +137,19 @@ def test_what_names_the_person_still_is_reported_and_exits_2(
     assert "1 file that still show or name" in ended.err
 
 
+@pytest.mark.parametrize("who", ["Żaneta7", "Ωmega-3.b"])
+def test_a_pseudonym_beyond_ascii_is_found_as_json_writes_it(lab: Path, who: str) -> None:
+    file = lab / "S" / "s1" / "session.json"
+    write_json(file, {**json.loads(file.read_text()), "subject": who})
+    write_json(lab / "batch.json", {"sessions": [{"subject": who}]})
+    write_json(lab / "table.json", {"who": f"{who}, glasses"})
+    write_json(lab / "other.json", {"who": f"{who}b, x{who}"})
+    found, left, _ = forget.forget(who, [lab], lab.parent / "proof")
+    assert found.removed["list of a batch"] == [str(lab / "batch.json")]
+    assert str(lab / "table.json") in left["by_pseudonym"]
+    assert str(lab / "other.json") not in left["by_pseudonym"]
+
+
 @pytest.mark.parametrize("name", ["dataset.json", "report.json", "checkpoint.json"])
 def test_a_file_of_another_program_with_one_of_our_names_is_passed_over(
     lab: Path, tmp_path: Path, name: str
