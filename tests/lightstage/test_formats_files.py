@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+from pathlib import Path
 
 import pytest
 
@@ -76,6 +77,30 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
     fill("d", fail=False)
     assert (out / "mark.json").read_text() == "d"
     assert os.listdir(tmp_path) == ["store"]
+
+
+def test_the_working_folder_is_refused_as_it_would_vanish_from_under_the_user(
+    tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    for named in (Path("."), tmp_path, Path("../") / tmp_path.name):
+        with (
+            pytest.raises(FormatError, match="the folder that the command was called in"),
+            atomic_folder(named, "mark.json"),
+        ):
+            raise AssertionError("never here")
+    assert os.listdir(tmp_path) == []
+
+
+def test_of_a_link_to_a_folder_the_folder_is_replaced_and_the_link_stays(tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "out").symlink_to(tmp_path / "disk")
+    for text in ("old", "new"):
+        with atomic_folder(tmp_path / "out", "mark.json") as beside:
+            (beside / "mark.json").write_text(text)
+    assert (tmp_path / "out").is_symlink()
+    assert (tmp_path / "disk" / "mark.json").read_text() == "new"
+    assert sorted(os.listdir(tmp_path)) == ["disk", "out"]
 
 
 def test_somebody_elses_folder_is_refused(tmp_path):
