@@ -414,6 +414,44 @@ def test_training_learns_scores_and_writes_whole_files(store_path: Path, tmp_pat
     assert not generator.training
 
 
+def steps_of(metrics: Path) -> list[int]:
+    return [json.loads(line)["step"] for line in metrics.read_text().splitlines()]
+
+
+def test_a_run_that_is_resumed_logs_each_step_once_though_it_was_killed(
+    store_path: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    run_interrupted(store_path, out, TINY, 2)
+    metrics = out / "metrics.jsonl"
+    kept = metrics.read_bytes()
+    # As `kill -9` leaves it: steps after the checkpoint, the score of an end that was not saved.
+    lost = [{"step": 2, "learning_rate": 1.0}, {"step": 5, "learning_rate": 1.0}, {"step": 6}]
+    metrics.write_bytes(kept + b"".join(json.dumps(line).encode() + b"\n" for line in lost))
+    train(open_store(store_path), out, TINY, resume=True)
+    assert metrics.read_bytes().startswith(kept)
+    assert steps_of(metrics) == [0, 1, 2, 3, 4, 5, 6]
+    # The score at the end of a run stays where the run is resumed from its end.
+    train(open_store(store_path), out, TINY, resume=True)
+    assert steps_of(metrics) == [0, 1, 2, 3, 4, 5, 6, 6]
+
+
+def test_a_new_run_has_no_curves_of_one_that_ended_before_its_first_checkpoint(
+    store_path: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    out.mkdir()
+    (out / "metrics.jsonl").write_text('{"step": 0, "learning_rate": 0.5, "maps": 7.0}\n')
+    dead = out / "events.out.tfevents.0000000001.abcd"
+    dead.write_bytes(b"")
+    batch = out / "stopped-0000007.safetensors"
+    batch.write_bytes(b"kept, to see why that one stopped")
+    train(open_store(store_path), out, TINY)
+    assert steps_of(out / "metrics.jsonl") == [0, 1, 2, 3, 4, 5, 6]
+    assert not dead.exists()
+    assert batch.exists()
+
+
 def test_resuming_goes_on_as_if_never_interrupted(store_path: Path, tmp_path: Path) -> None:
     straight = train(open_store(store_path), tmp_path / "a", TINY)
     run_interrupted(store_path, tmp_path / "b", TINY, 3)
@@ -424,6 +462,7 @@ def test_resuming_goes_on_as_if_never_interrupted(store_path: Path, tmp_path: Pa
     resumed = train(open_store(store_path), tmp_path / "b", TINY, resume=True)
     assert resumed.steps == straight.steps == 6
     assert all(isinstance(json.loads(line), dict) for line in metrics.read_text().splitlines())
+    assert steps_of(metrics) == steps_of(tmp_path / "a" / "metrics.jsonl")
     first, second = (load_generator(tmp_path / name)[0].state_dict() for name in "ab")
     for name, value in first.items():
         torch.testing.assert_close(second[name], value, rtol=1e-4, atol=1e-6)
