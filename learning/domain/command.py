@@ -20,6 +20,7 @@ from learning.networks.whole_face import WholeFaceNetwork
 from learning.render.environments import TargetLight
 from learning.whole.refine import CAMERA_MM
 from lightstage.commands import ProgressCallback
+from lightstage.counting import counted
 from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.environment import LightSet, read_lights, write_lights
 from lightstage.formats.exr import read_exr
@@ -109,8 +110,8 @@ def domain_light(
     notes = []
     if len(samples) < FEW:
         notes.append(
-            f"{len(samples)} textures: what the network gets wrong of a person's tone is in the "
-            f"light's strength; {FEW} and more average it out"
+            f"{counted(len(samples), 'texture')}: what the network gets wrong of a person's tone "
+            f"is in the light's strength; {FEW} and more average it out"
         )
     if len(chosen) < len(found):
         notes.append(f"{len(chosen)} of {len(found)} textures were looked at, evenly among them")

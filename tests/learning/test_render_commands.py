@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 
 from learning.__main__ import main
+from learning.commands import RenderRequest, _lit_head
 from learning.errors import MapsError
 from learning.map_folders import require_texture_maps
 from learning.relight import about_y, turned_camera
 from learning.render.occlusion_model import default_occlusion
+from lightstage.commands import quiet
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.files import write_json
+from lightstage.formats.mesh import read_obj, write_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Rig, default_rig, save_rig
 
@@ -166,3 +170,40 @@ def test_render_of_a_processed_folder_names_which_maps_it_means(
     words = ("render", "--maps", people[0].root, "--out", tmp_path / "never.png")
     assert run(monkeypatch, *words, "--environment", panorama(tmp_path / "room.exr")) == 2
     assert "the texture of one person" in capsys.readouterr().err
+
+
+def test_a_table_of_shadows_takes_the_head_pose_that_is_beside_the_mesh(
+    people: list[ProcessedFolder], tmp_path: Path
+) -> None:
+    upright, turn = people[0], about_y(100.0)
+    # As `infer` leaves them: maps in a folder of their own, in the axes of a mesh that is turned.
+    maps = tmp_path / "inferred" / "maps"
+    maps.mkdir(parents=True)
+    for path in (upright.root / "atlas").iterdir():
+        image = read_exr(path)
+        write_exr(maps / path.name, image @ turn.T if image.ndim == 3 else image)
+    albedo = read_exr(upright.atlas_path("diffuse_albedo"))
+    write_exr(maps / "diffuse_albedo.exr", albedo)
+    person = ProcessedFolder(tmp_path / "person")
+    person.root.mkdir()
+    mesh = read_obj(upright.registered_mesh)
+    write_obj(mesh.with_vertices(mesh.vertices @ turn.T), person.registered_mesh)
+    back = np.column_stack([turn.T, np.zeros(3)])
+    write_json(person.head_pose, {"head_from_world": back.tolist()})
+    place = np.array([[700.0, 300.0, 500.0]])
+
+    def seen(folder: Path, shape: Path, place_mm: np.ndarray) -> np.ndarray:
+        light = LightSet("one", place_mm, np.ones((1, 3)), np.zeros(3))
+        environment = write_lights(light, tmp_path / "e.json")
+        out = tmp_path / "never.exr"
+        request = RenderRequest(
+            folder, shape, environment, out, None, "cam0", None, "dielectric", 1, 0.0, "table"
+        )
+        found = _lit_head(request, quiet)[2]
+        assert found is not None
+        return found.numpy()
+
+    found = seen(maps, person.registered_mesh, place @ turn.T)
+    expected = seen(upright.root / "atlas", upright.registered_mesh, place)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    assert expected.std() > 0.1
