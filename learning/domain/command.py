@@ -194,13 +194,14 @@ def _place(texture: Path, mesh: Path | None) -> Place:
 
 
 def _read(place: Place, network: WholeFaceNetwork) -> Sample:
-    """A texture as the search takes it: black where it was filled."""
+    """A texture as the search takes it: of a fit, what its photographs show."""
     texture = read_exr(place.texture, finite=True)
     if texture.ndim != 3:
         raise MapsError(place.texture, found="one channel", expected="R G B")
     shape: Mesh = read_mesh(place.mesh)
     if shape.uvs is None:
         raise MapsError(place.mesh, field="uv", found="none", expected="the texture's coordinates")
+    known = None
     if place.confidence is not None:
         known = read_map(place.confidence, "confidence")
         if known.shape[:2] != texture.shape[:2]:
@@ -209,8 +210,8 @@ def _read(place: Place, network: WholeFaceNetwork) -> Sample:
                 found=f"{known.shape[0]} x {known.shape[1]} texels",
                 expected=f"{texture.shape[0]} x {texture.shape[1]}, as {place.texture.name}",
             )
-        texture = texture * (known.reshape(*texture.shape[:2], 1) > 0)
-    return sample_of(network, texture, shape, (place.texture, place.mesh))
+        known = known.reshape(texture.shape[:2]) > 0
+    return sample_of(network, texture, shape, (place.texture, place.mesh), known)
 
 
 def _config(path: Path | None, seconds: float | None, steps: int | None) -> DomainConfig:
