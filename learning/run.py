@@ -32,14 +32,18 @@ from learning.processes import ALONE, Processes
 from learning.samples import Sample, write_samples
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
+from lightstage.errors import DiskError
 from lightstage.formats.config import as_dict
 from lightstage.formats.files import others_in, write_bytes
+from lightstage.formats.lock import locked
 from lightstage.formats.values import parse_json
 from lightstage.interrupts import first_signal_noted
 from processing.dataset import Store
 
 METRICS, RATE = "metrics.jsonl", "learning_rate"
 """A run's curves, and what every line of a step has among its losses."""
+LOCK = ".lock"
+"""Held while a training writes into its folder; the empty file stays."""
 OWN = (METRICS, "*.safetensors", "events.*", "samples.html", ".*")
 """What a run that stopped before its first checkpoint leaves, half-written files too."""
 BEFORE = {"shading": "physical", "ema": 0.0, "steps": None}
@@ -190,6 +194,46 @@ class Run:
                     self._save(learner, finished, self.about)
                 raise
         return finished
+
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """Keep other trainings out of the folder within the block.
+
+        What is left there of steps that no checkpoint has is removed first. On a disk that cannot
+        lock files nothing keeps other trainings out.
+
+        Raises:
+            CheckpointError: another training writes there, or did since this one began.
+        """
+        with contextlib.ExitStack() as held:
+            if self.processes.first:
+                busy = CheckpointError(
+                    self.out,
+                    found="another training that writes there now",
+                    expected="a folder of this one's own",
+                    hint="Wait until it ends, or choose another --out.",
+                )
+                with contextlib.suppress(DiskError):
+                    held.enter_context(locked(self.out / LOCK, busy))
+                there = read_checkpoint(self.out).step if (self.out / INDEX).exists() else 0
+                if there != self.first:
+                    raise CheckpointError(
+                        self.out / INDEX,
+                        found=f"step {there}, of another training that ended meanwhile",
+                        expected=f"step {self.first}, as when this one began",
+                        hint="Resume it with --resume, or choose another --out.",
+                    )
+                self._drop_lost()
+            yield
+
+    def _drop_lost(self) -> None:
+        """Remove the curves of steps that no checkpoint has."""
+        if (self.out / INDEX).exists():
+            _drop_lost_lines(self.out / METRICS, self.first)
+            return
+        # Of a run that ended before its first checkpoint: its curves are not this one's.
+        for path in (self.out / METRICS, *self.out.glob(f"{EVENTS}*")):
+            path.unlink(missing_ok=True)
 
     @contextlib.contextmanager
     def scoring(self, learner: Learner, steps: int) -> Iterator[None]:
@@ -346,13 +390,8 @@ def begin(
         _check_same(checkpoint, config, store)
         load(checkpoint)
         first, spent = checkpoint.step, checkpoint.step_seconds
-        if processes.first:
-            _drop_lost_lines(out / METRICS, first)
     elif processes.first or (out / INDEX).exists():
         require_new(out, "Resume it with --resume, or choose another --out.")
-        # Of a run that ended before its first checkpoint: its curves are not this one's.
-        for path in (out / METRICS, *out.glob(f"{EVENTS}*")):
-            path.unlink(missing_ok=True)
     about = {
         "family": config.family,
         "config": as_dict(config),

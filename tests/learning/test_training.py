@@ -36,11 +36,11 @@ from learning.render.environments import (
     random_lights,
 )
 from learning.render.shading import ShadeOptions, shade, unit
-from learning.run import split
+from learning.run import Run, split
 from learning.score import answers_of, score
 from learning.train import train
 from learning.whole.config import WholeTrainConfig
-from lightstage.errors import ConfigError
+from lightstage.errors import ConfigError, DiskError
 from processing.dataset import open_store
 
 TINY = TrainConfig(
@@ -400,6 +400,7 @@ def test_training_learns_scores_and_writes_whole_files(store_path: Path, tmp_pat
     (events,) = (name for name in names if name.startswith("events.out.tfevents."))
     assert names == {
         events,
+        ".lock",
         "samples.html",
         "checkpoint.json",
         "metrics.jsonl",
@@ -412,6 +413,35 @@ def test_training_learns_scores_and_writes_whole_files(store_path: Path, tmp_pat
     assert checkpoint.data_fingerprint == open_store(store_path).fingerprint
     assert checkpoint.metrics["psnr_db"] == result.score.psnr_db
     assert not generator.training
+
+
+def test_two_trainings_never_write_into_one_folder(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, refusals = tmp_path / "run", []
+
+    def second(done: int, total: int) -> None:
+        # While the first is at work; before its first checkpoint the folder looks like a new one.
+        if done in (2, 4):
+            with pytest.raises(CheckpointError, match="another training that writes there now"):
+                train(open_store(store_path), out, TINY)
+            refusals.append(done)
+
+    result = train(open_store(store_path), out, TINY, progress=second)
+    assert refusals == [2, 4]
+    assert load_generator(out)[1].step == result.steps == 6
+    assert steps_of(out / "metrics.jsonl") == [0, 1, 2, 3, 4, 5, 6]
+    # One that began before the first had ended, and was slower to read its data.
+    late = Run(out, TINY, {}, 0, 0.0)
+    with pytest.raises(CheckpointError, match=r"found step 6, of another training"), late.alone():
+        raise AssertionError("never here")
+
+    def cannot(*_: object) -> None:
+        raise DiskError(out, found="a disk that cannot lock a file", expected="one that can")
+
+    monkeypatch.setattr("learning.run.locked", cannot)
+    with Run(out, TINY, {}, 6, 0.0).alone():
+        pass
 
 
 def steps_of(metrics: Path) -> list[int]:
