@@ -256,10 +256,8 @@ def _see_pixels(
     hits, directions = surface.rays.cast_pixels(camera, rows, columns)
     found = hits.face >= 0
     distance_mm, directions = hits.distance_mm[found], directions[found]
-    face, weights = hits.face[found].astype(np.int64), hits.barycentric[found].astype(np.float64)
-    for _ in range(surface.splits):
-        face, weights = in_part(face, weights)
-    weights = np.ascontiguousarray(weights, np.float32)
+    face, weights = in_part(hits.face[found], hits.barycentric[found], surface.splits)
+    weights = weights.astype(np.float32)
     corners = np.ascontiguousarray(surface.triangles[face], np.int32)
     at_vertices = np.column_stack([surface.normals, surface.occlusion]).astype(np.float32)
     at_pixels = at_vertices_to(at_vertices, corners, weights)

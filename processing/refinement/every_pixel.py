@@ -185,7 +185,8 @@ def pictured(
     mask = foreground & ~(needed & np.isinf(depth))
     edges = depth_edges(depth, config.depth_step_mm, needed)
     distance = edge_distance_px(mask & ~edges)
-    inside = np.minimum(4 * distance, 255).astype(np.uint8)
+    np.multiply(distance, 4, out=distance)
+    inside = np.minimum(distance, 255, out=distance).astype(np.uint8)
     first = np.concatenate([[0], np.cumsum(np.count_nonzero(mask, axis=1))])
     return Picture(mask, first, inside)
 
