@@ -115,6 +115,16 @@ def compare_light(scene: Scene, grid: View, clock: Clock) -> None:
         f"light at {count}, eight lamps at once (off by {off:.1g} at most)",
         lambda: _gathered(*given, lamps, found),
     )
+    # What is skipped where there is none, as it was before: zeros are read and added.
+    nothing = np.zeros((len(scene.surface.vertices), *lamps.bounced.shape[1:]), np.float32)
+    dark = np.zeros((len(scene.lights.patterns), 3, 4), np.float32)
+    all_read, again = lamps._replace(bounced=nothing, stray=dark), np.zeros_like(found)
+    clock.run(
+        "the same, other skin's and polarisers' light added though there is none",
+        lambda: _gathered(*given, all_read, again),
+    )
+    if not (len(lamps.bounced) or len(lamps.stray)) and not np.array_equal(found, again):
+        raise AssertionError("what is skipped changes the light")
     clock.run("its plain twin, one lamp after the other, without slopes", plain)
 
 
