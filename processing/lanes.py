@@ -135,6 +135,98 @@ def load_row(typing_context: Any, array: Any, first: Any) -> Any:
 
 
 @intrinsic
+def load_bytes(typing_context: Any, array: Any, first: Any) -> Any:
+    """Eight whole numbers of a C-contiguous uint8 array from a flat index on (not checked)."""
+    del typing_context, first
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, args[0])
+        place = builder.gep(array.data, [args[1]])
+        kind = ir.VectorType(ir.IntType(8), LANES)
+        found = builder.load(builder.bitcast(place, kind.as_pointer()), align=1)
+        return builder.uitofp(found, _VECTOR)
+
+    return LANES_TYPE(array, types.intp), code
+
+
+@intrinsic
+def numbered(typing_context: Any) -> Any:
+    """The lanes' numbers: 0 to 7."""
+    del typing_context
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        del context, builder, signature, args
+        return ir.Constant(_VECTOR, [float(k) for k in range(LANES)])
+
+    return LANES_TYPE(), code
+
+
+@intrinsic
+def between(typing_context: Any, table: Any, place: Any, steps: Any) -> Any:
+    """Interpolate a float32 table linearly, lane by lane.
+
+    Args:
+        table: flat, of steps + 1 numbers.
+        place: Lanes from 0 to `steps`, no NaN (not checked).
+        steps: between the table's numbers, at least 1.
+    """
+    del typing_context, place, steps
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        whole, pair = ir.VectorType(ir.IntType(32), LANES), ir.VectorType(ir.FloatType(), 2)
+        array = context.make_array(signature.args[0])(context, builder, args[0])
+        last = builder.sub(builder.trunc(args[2], ir.IntType(32)), ir.Constant(ir.IntType(32), 1))
+        ends = builder.insert_element(
+            ir.Constant(whole, ir.Undefined), last, ir.Constant(ir.IntType(32), 0)
+        )
+        nothing = ir.Constant(whole, [0] * LANES)
+        ends = builder.shuffle_vector(ends, ir.Constant(whole, ir.Undefined), nothing)
+        # At the table's end the last step is interpolated to its own end.
+        below = builder.fptosi(args[1], whole)
+        below = builder.select(builder.icmp_signed("<", below, ends), below, ends)
+        rest = builder.fsub(args[1], builder.sitofp(below, _VECTOR))
+        joined = []
+        for k in range(LANES):
+            start = builder.extract_element(below, ir.Constant(ir.IntType(32), k))
+            first = builder.gep(array.data, [builder.sext(start, ir.IntType(64))])
+            # Both ends of a step at once.
+            joined.append(builder.load(builder.bitcast(first, pair.as_pointer()), align=4))
+        while len(joined) > 1:
+            size = 2 * LANES // len(joined)
+            places = ir.Constant(ir.VectorType(ir.IntType(32), 2 * size), list(range(2 * size)))
+            joined = [
+                builder.shuffle_vector(one, other, places)
+                for one, other in zip(joined[::2], joined[1::2], strict=True)
+            ]
+        low, high = (
+            builder.shuffle_vector(
+                joined[0],
+                joined[0],
+                ir.Constant(whole, list(range(side, 2 * LANES, 2))),
+            )
+            for side in range(2)
+        )
+        step = builder.fsub(high, low)
+        return builder.fadd(low, builder.fmul(rest, step, flags=_ANY_ORDER), flags=_ANY_ORDER)
+
+    return LANES_TYPE(table, LANES_TYPE, types.intp), code
+
+
+@intrinsic
+def where_above(typing_context: Any, left: Any, right: Any, yes: Any, no: Any) -> Any:
+    """Lanes of the third where the first is above the second; of the fourth elsewhere and where
+    one of the two is NaN.
+    """
+    del typing_context, left, right, yes, no
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        del context, signature
+        return builder.select(builder.fcmp_ordered(">", args[0], args[1]), args[2], args[3])
+
+    return LANES_TYPE(*[LANES_TYPE] * 4), code
+
+
+@intrinsic
 def store_turned(
     typing_context: Any,
     array: Any,

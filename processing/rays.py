@@ -71,6 +71,18 @@ class MeshRays:
         barycentric = np.stack([1 - uv[:, 0] - uv[:, 1], uv[:, 0], uv[:, 1]], axis=1)
         return Hits(face.astype(np.int32), barycentric, distance_mm)
 
+    def met(self, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Which of (n, 6) float32 rays, origins and unit directions, meet the mesh, and where.
+
+        Returns:
+            (m,) their numbers, (m,) triangles, and (m, 3) float32 weights of the corners.
+        """
+        found = self._scene.cast_rays(open3d.core.Tensor(rays))
+        met = np.flatnonzero(found["geometry_ids"].numpy() == self._mesh)
+        face = found["primitive_ids"].numpy()[met].astype(np.int64)
+        uv = found["primitive_uvs"].numpy()[met]
+        return met, face, np.stack([1 - uv[:, 0] - uv[:, 1], uv[:, 0], uv[:, 1]], axis=1)
+
     def _found(self, origins_mm: np.ndarray, directions: np.ndarray) -> Any:
         rays = np.empty((len(directions), 6), np.float32)
         rays[:, :3] = origins_mm

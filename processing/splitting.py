@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit, prange
 
 from lightstage.formats.mesh import Mesh, directed_edges
 from processing import late_open3d as open3d
@@ -28,19 +29,38 @@ def split(triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     return children, np.stack([keys // count, keys % count], axis=1)
 
 
-def in_part(face: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def in_part(face: np.ndarray, weights: np.ndarray, times: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Of n places on split triangles, the (n,) parts that they are in and (n, 3) weights there.
 
     Args:
         face: (n,) triangles before the split.
         weights: (n, 3) barycentric, in these.
+        times: how often they were split.
     """
-    largest = weights.argmax(axis=1)
-    corner = np.take_along_axis(weights, largest[:, None], axis=1)[:, 0] >= 0.5
-    inner = 1 - 2 * weights[:, [2, 0, 1]]
-    outer = 2 * weights
-    outer[np.arange(len(face)), largest] -= 1
-    return 4 * face + np.where(corner, largest, 3), np.where(corner[:, None], outer, inner)
+    parts, inside = face.astype(np.int64), np.array(weights, np.float64, order="C")
+    _move_to_parts(parts, inside, times)
+    return parts, inside
+
+
+@njit(parallel=True, cache=True)
+def _move_to_parts(face: np.ndarray, weights: np.ndarray, times: int) -> None:
+    """What `in_part` does, in place."""
+    for i in prange(len(face)):
+        part, a, b, c = face[i], weights[i, 0], weights[i, 1], weights[i, 2]
+        for _ in range(times):
+            part *= 4
+            if max(a, b, c) < 0.5:
+                a, b, c = 1 - 2 * c, 1 - 2 * a, 1 - 2 * b
+                part += 3
+            elif a >= b and a >= c:
+                a, b, c = 2 * a - 1, 2 * b, 2 * c
+            elif b >= c:
+                a, b, c = 2 * a, 2 * b - 1, 2 * c
+                part += 1
+            else:
+                a, b, c = 2 * a, 2 * b, 2 * c - 1
+                part += 2
+        face[i], weights[i, 0], weights[i, 1], weights[i, 2] = part, a, b, c
 
 
 def unsplit(mesh: Mesh, least: int = 1) -> Mesh:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit, prange
 from scipy import sparse
 
 from processing.lighting.interface import Interface
 from processing.lighting.lights import PatternLights, Shadows, irradiance_vectors
+from processing.rays import CHUNK_RAYS
 from processing.surface import LitSurface
 
 START_MM = 0.3
@@ -28,26 +30,36 @@ def other_skin(surface: LitSurface, rays: int) -> sparse.csr_array:
     tangent = np.cross(normals, np.where(np.abs(normals[:, :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0]))
     length = np.linalg.norm(tangent, axis=1, keepdims=True)
     tangent = np.divide(tangent, length, out=np.zeros_like(tangent), where=length > 0)
-    bitangent = np.cross(normals, tangent)
-    x, y, z = cosine_directions(rays).T
-    directions = (
-        x[None, :, None] * tangent[:, None]
-        + y[None, :, None] * bitangent[:, None]
-        + z[None, :, None] * normals[:, None]
-    ).reshape(-1, 3)
-    start = np.repeat(vertices + START_MM * normals, rays, axis=0)
-    hits = surface.rays.cast(start, directions)
-    met = np.flatnonzero(hits.face >= 0)
-    triangles = mesh_triangles(surface)[hits.face[met]]
-    # The inside of an open mesh is no skin.
-    corners = surface.vertices[triangles]
-    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    front = np.einsum("nk,nk->n", outward, directions[met]) < 0
-    met, triangles = met[front], triangles[front]
-    rows = np.repeat(met // rays, 3)
-    weights = hits.barycentric[met].ravel() / rays
-    columns = triangles.ravel()
-    return sparse.csr_array((weights, (rows, columns)), shape=(count, count))
+    frames = np.stack([tangent, np.cross(normals, tangent), normals], axis=1)
+    starts, turned = vertices + START_MM * normals, cosine_directions(rays)
+    mesh, step = mesh_triangles(surface), max(1, CHUNK_RAYS // rays)
+    parts = []
+    for first in range(0, count, step):
+        some = slice(first, first + step)
+        cast = np.empty((len(starts[some]) * rays, 6), np.float32)
+        _fill_rays(starts[some], frames[some], turned, cast)
+        met, face, barycentric = surface.rays.met(cast)
+        triangles = mesh[face]
+        # The inside of an open mesh is no skin.
+        corners = surface.vertices[triangles]
+        outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        front = np.einsum("nk,nk->n", outward, cast[met, 3:]) < 0
+        parts.append((first + met[front] // rays, triangles[front], barycentric[front] / rays))
+    owners, triangles, weights = (np.concatenate(each) for each in zip(*parts, strict=True))
+    places = np.repeat(owners, 3), triangles.ravel()
+    return sparse.csr_array((weights.ravel(), places), shape=(count, count))
+
+
+@njit(parallel=True, cache=True)
+def _fill_rays(starts: np.ndarray, frames: np.ndarray, turned: np.ndarray, out: np.ndarray) -> None:
+    """Fill (n r, 6) rays from (n, 3) starts along (r, 3) directions in (n, 3, 3) frames."""
+    for i in prange(len(starts)):
+        for j in range(len(turned)):
+            row = i * len(turned) + j
+            for x in range(3):
+                out[row, x] = starts[i, x]
+                along = turned[j, 0] * frames[i, 0, x] + turned[j, 1] * frames[i, 1, x]
+                out[row, 3 + x] = along + turned[j, 2] * frames[i, 2, x]
 
 
 def mesh_triangles(surface: LitSurface) -> np.ndarray:

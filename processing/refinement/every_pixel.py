@@ -6,6 +6,7 @@ import dataclasses
 
 import cv2
 import numpy as np
+from numba import njit, prange
 
 from lightstage.rig import Camera
 from processing.albedo import pooled
@@ -182,9 +183,10 @@ def pictured(
     near = cv2.dilate(needed.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     depth = depth_of(scene.surface, camera, near & foreground)
     mask = foreground & ~(needed & np.isinf(depth))
-    edges = depth_edges(depth, config.depth_step_mm) & needed
+    edges = depth_edges(depth, config.depth_step_mm, needed)
     distance = edge_distance_px(mask & ~edges)
-    inside = np.minimum(4 * distance, 255).astype(np.uint8)
+    np.multiply(distance, 4, out=distance)
+    inside = np.minimum(distance, 255, out=distance).astype(np.uint8)
     first = np.concatenate([[0], np.cumsum(np.count_nonzero(mask, axis=1))])
     return Picture(mask, first, inside)
 
@@ -278,15 +280,37 @@ def enlarged(values: np.ndarray, grid: Sight, view: Sight) -> tuple[np.ndarray, 
     Returns:
         (n, k), and (n,) bool whether the grid has a pixel near by.
     """
+    number = np.full(grid.mask.shape, -1, np.int32)
+    number[grid.mask] = np.arange(len(values))
     rows, columns = np.nonzero(view.mask)
-    image = np.zeros((*grid.mask.shape, values.shape[1] + 1), np.float32)
-    image[grid.mask] = np.column_stack([values, np.ones(len(values))])
-    y, x = rows / grid.step, columns / grid.step
-    top = np.minimum(y.astype(int), image.shape[0] - 1)
-    left = np.minimum(x.astype(int), image.shape[1] - 1)
-    below, right = np.minimum(top + 1, image.shape[0] - 1), np.minimum(left + 1, image.shape[1] - 1)
-    down, across = (y - top)[:, None].astype(np.float32), (x - left)[:, None].astype(np.float32)
-    total = (1 - down) * ((1 - across) * image[top, left] + across * image[top, right])
-    total += down * ((1 - across) * image[below, left] + across * image[below, right])
-    near = total[:, -1] > 1e-3
-    return total[:, :-1] / np.where(near, total[:, -1], 1)[:, None], near
+    flat = np.ascontiguousarray(values, np.float32)
+    found, near = np.zeros((len(rows), flat.shape[1]), np.float32), np.zeros(len(rows), bool)
+    _enlarge(rows, columns, grid.step, number, flat, found, near)
+    return found, near
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _enlarge(
+    rows: np.ndarray, columns: np.ndarray, step: int, number: np.ndarray, values: np.ndarray,
+    found: np.ndarray, near: np.ndarray,
+) -> None:  # fmt: skip
+    """Fill in what `enlarged` returns; `number` is (h, w) the grid's pixels, -1 where none is."""
+    for i in prange(len(rows)):
+        top, left = rows[i] // step, columns[i] // step
+        down = np.float32(rows[i] - top * step) / np.float32(step)
+        right = np.float32(columns[i] - left * step) / np.float32(step)
+        total = np.float32(0)
+        for y in range(2):
+            for x in range(2):
+                own = number[min(top + y, len(number) - 1), min(left + x, number.shape[1] - 1)]
+                if own < 0:
+                    continue
+                one = np.float32(1)
+                share = (down if y else one - down) * (right if x else one - right)
+                total += share
+                for k in range(values.shape[1]):
+                    found[i, k] += share * values[own, k]
+        near[i] = total > 1e-3
+        if near[i]:
+            for k in range(values.shape[1]):
+                found[i, k] /= total

@@ -22,6 +22,8 @@ SPECULAR_RANGE = (0.0, 0.2)
 """Reflectances above .2 are metals, not faces."""
 LONGEST_STEP = 0.05
 """Largest step of the roughness: beyond it the lobe is not linear in it."""
+PAIR = 2
+"""Columns that are averaged at once."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,23 +111,69 @@ def better_gloss(
 def smooth(values: np.ndarray, average: sparse.csr_array, rounds: int) -> np.ndarray:
     """(V, k) values after so many rounds of averaging over neighbours."""
     values = np.ascontiguousarray(values, np.float64)
-    for _ in range(rounds):
-        averaged = np.empty_like(values)
-        _multiply(average.indptr, average.indices, average.data, values, averaged)
-        values = averaged
-    return values
+    if not rounds:
+        return values
+    # Signed numbers would be tested for counting from the end.
+    start, near = (
+        each.astype(np.int32, copy=False).view(np.uint32)
+        for each in (average.indptr, average.indices)
+    )
+    means = bool(_are_means(start, average.data))
+    smoothed = np.empty_like(values)
+    for first in range(0, values.shape[1], PAIR):
+        pair = slice(first, first + PAIR)
+        now = np.zeros((len(values), PAIR))
+        now[:, : values[:, pair].shape[1]] = values[:, pair]
+        after = np.empty_like(now)
+        for _ in range(rounds):
+            _multiply(start, near, average.data, means, now, after)
+            now, after = after, now
+        smoothed[:, pair] = now[:, : values[:, pair].shape[1]]
+    return smoothed
+
+
+@njit(parallel=True, cache=True)
+def _are_means(start: np.ndarray, weights: np.ndarray) -> int:
+    """1 if all weights of every row are one over their number, to rounding."""
+    others = 0
+    for i in prange(len(start) - 1):
+        count = start[i + 1] - start[i]
+        for at in range(start[i], start[i + 1]):
+            others += abs(weights[at] * count - 1) > 1e-14
+    return others == 0
 
 
 @njit(parallel=True, cache=True)
 def _multiply(
-    indptr: np.ndarray, indices: np.ndarray, data: np.ndarray, values: np.ndarray, out: np.ndarray
-) -> None:
-    """Sparse times dense on all cores: scipy's own takes one."""
+    start: np.ndarray, near: np.ndarray, weights: np.ndarray, means: bool,
+    values: np.ndarray, out: np.ndarray,
+) -> None:  # fmt: skip
+    """Sparse times dense (V, PAIR) on all cores: scipy's own takes one.
+
+    Nearly every vertex of a closed mesh has six neighbours, and an average has equal weights: with
+    itself a mean of seven, written out, takes a quarter of the time.
+
+    Args:
+        start, near: (V + 1,) and (nnz,) uint32 of a sparse matrix's rows.
+        weights: (nnz,) its numbers.
+        means: whether each row is a mean.
+        values, out: (V, PAIR).
+    """
     for i in prange(len(out)):
-        out[i] = 0
-        for at in range(indptr[i], indptr[i + 1]):
-            for k in range(values.shape[1]):
-                out[i, k] += data[at] * values[indices[at], k]
+        at = start[i]
+        if means and start[i + 1] - at == 7:
+            a, b, c, d = near[at], near[at + 1], near[at + 2], near[at + 3]
+            e, f, g = near[at + 4], near[at + 5], near[at + 6]
+            for k in range(PAIR):
+                first = (values[a, k] + values[b, k]) + (values[c, k] + values[d, k])
+                second = (values[e, k] + values[f, k]) + values[g, k]
+                out[i, k] = (first + second) * (1 / 7)
+        else:
+            for k in range(PAIR):
+                total = 0.0
+                for j in range(at, start[i + 1]):
+                    total += weights[j] * values[near[j], k]
+                out[i, k] = total
 
 
 def local_specular(

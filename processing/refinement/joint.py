@@ -12,6 +12,7 @@ import dataclasses
 
 import numpy as np
 
+from processing.lanes import LANES
 from processing.lighting.interface import Interface
 from processing.lighting.lights import PatternLights, Shadows, compiled
 from processing.lighting.lobe import fresnel_table
@@ -22,7 +23,7 @@ from processing.refinement.joint_kernels import (
     fitted_kernel,
     solve_kernel,
 )
-from processing.refinement.joint_light import Lamps
+from processing.refinement.joint_light import Lamps, chunks_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +52,8 @@ class Place:
         points_mm: (n, 3).
         views: (n, 3) unit, toward the camera.
         shadows: lights that each sees.
-        bounced: (V, P, 3) float32 irradiance at the shadows' vertices by light from other skin.
+        bounced: (V, P, 3) float32 irradiance at the shadows' vertices by light from other skin;
+            (0, P, 3) where there is none.
         mirrored: (L,) share of each lamp's mirror reflection that reaches the camera: 1 without
             polarisers.
     """
@@ -199,17 +201,28 @@ def lamps_of(lights: PatternLights, place: Place, interface: Interface) -> Lamps
     """What `joint_light.gather` takes of the stage."""
     stray = lights.stray * lights.diffuse_share[:, None, None]
     seen = compiled(lights, place.shadows)
+    count = len(seen.weight)
+    missing = max(0, LANES - count)
+
+    def padded(values: np.ndarray) -> np.ndarray:
+        """(.., L) with lights of no weight added to fill a vector."""
+        added = [(0, 0)] * (values.ndim - 1) + [(0, missing)]
+        return np.ascontiguousarray(np.pad(values, added) if missing else values)
+
+    strength = lights.weight * lights.radius_mm**2
+    group = np.repeat(np.arange(len(seen.group_end)), np.diff(seen.group_end, prepend=0))
     return Lamps(
-        visible=seen.visible,
-        position=seen.position,
-        radius=seen.radius,
-        weight=seen.weight,
+        visible=padded(seen.visible),
+        position=padded(seen.position.T),
+        strength=padded(strength.astype(np.float32)),
+        radius=padded(seen.radius),
         levels=seen.levels,
-        group_end=seen.group_end,
+        chunks=chunks_of(seen.group_end),
+        group=group,
         exponent=seen.exponent,
         diffuse_share=lights.diffuse_share.astype(np.float32),
-        mirrored=place.mirrored.astype(np.float32),
-        stray=stray.astype(np.float32),
+        mirrored=padded(place.mirrored.astype(np.float32)),
+        stray=(stray if stray.any() else stray[:0]).astype(np.float32),
         bounced=place.bounced,
         table=fresnel_table(interface.facets.rises).astype(np.float32),
         through=interface.table,

@@ -129,12 +129,13 @@ def normal_equations(
     with each other, weighted by the inverse of the readings' covariance: each reading's own
     variance, and an error of the irradiance that is common to a pattern's channels.
     """
-    kept, shade2 = spread.kept, spread.shade2
-    a[:] = 0
-    b[:] = 0
-    c[:] = 0
-    row = np.zeros(8)
-    common = np.zeros(8)
+    # Sums are written out: in arrays, each would go through memory at every step.
+    q0, q1, q2 = rho[0], rho[1], rho[2]
+    kq0, kq1, kq2 = spread.kept[0] * q0, spread.kept[1] * q1, spread.kept[2] * q2
+    tt = tu = uu = t0 = t1 = t2 = u0 = u1 = u2 = 0.0
+    a00 = a11 = a22 = a10 = a20 = a21 = 0.0
+    tr = ur = r0 = r1 = r2 = tb = ub = b0 = b1 = b2 = tm = um = m0 = m1 = m2 = 0.0
+    rr = rb = rm = bb = bm = mm = 0.0
     for k in range(len(light)):
         et = eu = bt = bu = 0.0
         for x in range(3):
@@ -142,33 +143,64 @@ def normal_equations(
             eu += light[k, 1 + x] * across[1, x]
             bt += light[k, 5 + x] * across[0, x]
             bu += light[k, 5 + x] * across[1, x]
-        common[:] = 0
-        power = 0.0
-        for channel in range(3):
-            e = diffuse[k, channel]
-            w = _weight(rgb[k, channel], spread)
-            shade = rho[channel] * e
-            row[0] = rho[channel] * kept[channel] * et + s * bt
-            row[1] = rho[channel] * kept[channel] * eu + s * bu
-            row[2] = row[3] = row[4] = 0.0
-            row[2 + channel] = e
-            row[5] = rgb[k, channel] - shade - s * light[k, 4]
-            row[6] = light[k, 4]
-            row[7] = s * light[k, 8]
-            for p in range(8):
-                common[p] += w * shade * row[p]
-            power += w * shade * shade
-            _add(row, w, channel, a, b, c)
-        if shade2 > 0:
-            share = shade2 / (1 + shade2 * power)
-            for p in range(5):
-                for q in range(p + 1):
-                    a[p, q] -= share * common[p] * common[q]
-                for q in range(3):
-                    b[p, q] -= share * common[p] * common[5 + q]
-            for p in range(3):
-                for q in range(3):
-                    c[p, q] -= share * common[5 + p] * common[5 + q]
+        mirror, width = float(light[k, 4]), s * light[k, 8]
+        e0, e1, e2 = diffuse[k, 0], diffuse[k, 1], diffuse[k, 2]
+        w0, w1, w2 = (
+            _weight(rgb[k, 0], spread), _weight(rgb[k, 1], spread), _weight(rgb[k, 2], spread),
+        )  # fmt: skip
+        h0, h1, h2 = q0 * e0, q1 * e1, q2 * e2
+        jt0, jt1, jt2 = kq0 * et + s * bt, kq1 * et + s * bt, kq2 * et + s * bt
+        ju0, ju1, ju2 = kq0 * eu + s * bu, kq1 * eu + s * bu, kq2 * eu + s * bu
+        gloss = s * mirror
+        d0, d1, d2 = rgb[k, 0] - h0 - gloss, rgb[k, 1] - h1 - gloss, rgb[k, 2] - h2 - gloss
+        # What all channels err by together is taken off again.
+        wh0, wh1, wh2 = w0 * h0, w1 * h1, w2 * h2
+        share = spread.shade2 / (1 + spread.shade2 * (wh0 * h0 + wh1 * h1 + wh2 * h2))
+        ct, cu = wh0 * jt0 + wh1 * jt1 + wh2 * jt2, wh0 * ju0 + wh1 * ju1 + wh2 * ju2
+        c0, c1, c2 = wh0 * e0, wh1 * e1, wh2 * e2
+        cr, ch = wh0 * d0 + wh1 * d1 + wh2 * d2, wh0 + wh1 + wh2
+        st, su, s0, s1, s2 = share * ct, share * cu, share * c0, share * c1, share * c2
+        wt0, wt1, wt2 = w0 * jt0, w1 * jt1, w2 * jt2
+        wu0, wu1, wu2 = w0 * ju0, w1 * ju1, w2 * ju2
+        we0, we1, we2 = w0 * e0, w1 * e1, w2 * e2
+        tt += wt0 * jt0 + wt1 * jt1 + wt2 * jt2 - st * ct
+        tu += wt0 * ju0 + wt1 * ju1 + wt2 * ju2 - st * cu
+        uu += wu0 * ju0 + wu1 * ju1 + wu2 * ju2 - su * cu
+        t0, t1, t2 = t0 + wt0 * e0 - s0 * ct, t1 + wt1 * e1 - s1 * ct, t2 + wt2 * e2 - s2 * ct
+        u0, u1, u2 = u0 + wu0 * e0 - s0 * cu, u1 + wu1 * e1 - s1 * cu, u2 + wu2 * e2 - s2 * cu
+        a00, a11, a22 = a00 + we0 * e0 - s0 * c0, a11 + we1 * e1 - s1 * c1, a22 + we2 * e2 - s2 * c2
+        a10, a20, a21 = a10 - s0 * c1, a20 - s0 * c2, a21 - s1 * c2
+        tr += wt0 * d0 + wt1 * d1 + wt2 * d2 - st * cr
+        ur += wu0 * d0 + wu1 * d1 + wu2 * d2 - su * cr
+        r0, r1, r2 = r0 + we0 * d0 - s0 * cr, r1 + we1 * d1 - s1 * cr, r2 + we2 * d2 - s2 * cr
+        # B and dB/dm are the same in all channels.
+        over_t, over_u = wt0 + wt1 + wt2 - st * ch, wu0 + wu1 + wu2 - su * ch
+        over_0, over_1, over_2 = we0 - s0 * ch, we1 - s1 * ch, we2 - s2 * ch
+        tb, ub, tm, um = (
+            tb + over_t * mirror, ub + over_u * mirror, tm + over_t * width, um + over_u * width,
+        )  # fmt: skip
+        b0, b1, b2 = b0 + over_0 * mirror, b1 + over_1 * mirror, b2 + over_2 * mirror
+        m0, m1, m2 = m0 + over_0 * width, m1 + over_1 * width, m2 + over_2 * width
+        rr += w0 * d0 * d0 + w1 * d1 * d1 + w2 * d2 * d2 - share * cr * cr
+        left = w0 * d0 + w1 * d1 + w2 * d2 - share * cr * ch
+        rb, rm = rb + left * mirror, rm + left * width
+        whole = w0 + w1 + w2 - share * ch * ch
+        bb, bm, mm = (
+            bb + whole * mirror * mirror, bm + whole * mirror * width, mm + whole * width * width,
+        )  # fmt: skip
+    a[:] = 0
+    a[0, 0], a[1, 0], a[1, 1] = tt, tu, uu
+    a[2, 0], a[3, 0], a[4, 0] = t0, t1, t2
+    a[2, 1], a[3, 1], a[4, 1] = u0, u1, u2
+    a[2, 2], a[3, 3], a[4, 4] = a00, a11, a22
+    a[3, 2], a[4, 2], a[4, 3] = a10, a20, a21
+    b[0, 0], b[1, 0], b[2, 0], b[3, 0], b[4, 0] = tr, ur, r0, r1, r2
+    b[0, 1], b[1, 1], b[2, 1], b[3, 1], b[4, 1] = tb, ub, b0, b1, b2
+    b[0, 2], b[1, 2], b[2, 2], b[3, 2], b[4, 2] = tm, um, m0, m1, m2
+    c[0, 0], c[1, 1], c[2, 2] = rr, bb, mm
+    c[0, 1] = c[1, 0] = rb
+    c[0, 2] = c[2, 0] = rm
+    c[1, 2] = c[2, 1] = bm
 
 
 @njit(cache=True, error_model="numpy")
@@ -197,27 +229,6 @@ def left_over(
         # Of readings a million times too bright, rounding leaves less than nothing.
         total += max(own, 0.0)
     return total
-
-
-@njit(cache=True, inline="always")
-def _add(
-    row: np.ndarray, w: float, channel: int, a: np.ndarray, b: np.ndarray, c: np.ndarray
-) -> None:
-    """Add the products of one reading's row to the normal equations."""
-    own = 2 + channel
-    a[0, 0] += w * row[0] * row[0]
-    a[1, 0] += w * row[0] * row[1]
-    a[1, 1] += w * row[1] * row[1]
-    a[own, 0] += w * row[own] * row[0]
-    a[own, 1] += w * row[own] * row[1]
-    a[own, own] += w * row[own] * row[own]
-    for q in range(3):
-        other = w * row[5 + q]
-        b[0, q] += other * row[0]
-        b[1, q] += other * row[1]
-        b[own, q] += other * row[own]
-        for p in range(3):
-            c[p, q] += other * row[5 + p]
 
 
 @njit(cache=True, error_model="numpy")

@@ -15,6 +15,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from processing.lanes import LANES
 from processing.refinement.joint_light import Lamps, gather
 
 TERMS = 6
@@ -37,6 +38,12 @@ WIDEST_TAN = 0.2
 """Turns beyond this tangent, 11 deg, are not interpolated."""
 AWAY = -0.5
 """Directions across normals turn smoothly unless these point away from the camera."""
+
+
+def table_of(nodes: int, patterns: int) -> np.ndarray:
+    """(nodes, P OF_PATTERN + OF_PLACE and more) float32 of zeros: rows of whole vectors."""
+    width = patterns * OF_PATTERN + OF_PLACE
+    return np.zeros((nodes, -(-width // LANES) * LANES), np.float32)
 
 
 def turns() -> np.ndarray:
@@ -170,30 +177,38 @@ def node_kernel(
         lamps: the stage.
         axis: (3, 3) float32, see `across`.
         good: (n,) bool, set where a node has light.
-        out: (n, P OF_PATTERN + OF_PLACE) float32.
+        out: (n, P OF_PATTERN + OF_PLACE or more) float32.
     """
     patterns = len(lamps.diffuse_share)
     first = patterns * OF_PATTERN
     for i in prange(len(points)):
-        near = np.zeros(table.shape[1], np.float32)
         top, left = rows[i] // step, columns[i] // step
         down = np.float32(rows[i] - top * step) / np.float32(step)
         right = np.float32(columns[i] - left * step) / np.float32(step)
-        total = np.float32(0)
-        for y in range(2):
-            for x in range(2):
-                share = (down if y else 1 - down) * (right if x else 1 - right)
-                if share == 0 or top + y >= number.shape[0] or left + x >= number.shape[1]:
-                    continue
-                found = number[top + y, left + x]
-                if found < 0:
-                    continue
-                total += share
-                for j in range(len(near)):
-                    near[j] += share * table[found, j]
+        shares, around = np.zeros(4, np.float32), np.zeros(4, np.int64)
+        total, some = np.float32(0), -1
+        for k in range(4):
+            y, x = k // 2, k % 2
+            # A whole number beside them would make all products here float64.
+            share = (down if y else np.float32(1) - down) * (right if x else np.float32(1) - right)
+            inside = top + y < number.shape[0] and left + x < number.shape[1]
+            if share == 0 or not inside or number[top + y, left + x] < 0:
+                continue
+            some = number[top + y, left + x]
+            shares[k], around[k] = share, some
+            total += share
         if not total > 1e-3:
             continue
-        near /= total
+        for k in range(4):
+            if shares[k] == 0:
+                around[k] = some
+            shares[k] /= total
+        near = np.empty(table.shape[1], np.float32)
+        a, b, c, d = around[0], around[1], around[2], around[3]
+        wa, wb, wc, wd = shares[0], shares[1], shares[2], shares[3]
+        for j in range(len(near)):
+            upper = wa * table[a, j] + wb * table[b, j]
+            near[j] = upper + (wc * table[c, j] + wd * table[d, j])
         own, row = near[first:], out[i]
         n = own[MIDDLE : MIDDLE + 3].copy()
         n /= np.float32(math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]))

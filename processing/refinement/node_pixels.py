@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit, prange
 
 from lightstage.formats.half import as_float
-from processing.lanes import LANES, every, load, store
+from processing.lanes import LANES, every, load, store_turned
 from processing.readings import BRIGHTEST
 from processing.refinement import finish
 from processing.refinement.finish import GIVEN, Limits, Maps, finish_pixel
@@ -18,7 +18,6 @@ from processing.refinement.node_light import (
     FRAME,
     GLOSS,
     OF_PATTERN,
-    OF_PLACE,
     OTHERS,
     TURN,
 )
@@ -52,7 +51,7 @@ class Nodes(NamedTuple):
     Attributes:
         number: (h, w) int32 row of `table`, -1 where there is no node.
         safe: (h - 1, w - 1) bool: between these four nodes light may be interpolated.
-        table: (n, P OF_PATTERN + OF_PLACE) float32.
+        table: (n, P OF_PATTERN + OF_PLACE and more) float32, as `table_of` makes it.
         step: pixels between nodes.
         top: the first row's number among all rows of nodes.
         widest2: squared tangent of the turn from the nodes' normals up to which light is known.
@@ -118,26 +117,37 @@ def read_pixel(photos: Photos, y: int, x: int, ws: np.ndarray, at: int) -> tuple
     return True, float(math.sqrt(r * r + g * g + b * b) / mean)
 
 
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _at_place(table: np.ndarray, corners: np.ndarray, shares: np.ndarray, j: int, i: int) -> Any:
+    """Eight numbers from `i` on at the place of lane j between its four nodes."""
+    first = corners[j]
+    found = every(shares[j, 0]) * load(table, first[0] + i)
+    found = found + every(shares[j, 1]) * load(table, first[1] + i)
+    found = found + every(shares[j, 2]) * load(table, first[2] + i)
+    return found + every(shares[j, 3]) * load(table, first[3] + i)
+
+
 @njit(cache=True, error_model="numpy")
 def _mixed(
-    table: np.ndarray,
-    a: int,
-    b: int,
-    c: int,
-    d: int,
-    ws: np.ndarray,
-    to: int,
-    down: Any,
-    right: Any,
+    table: np.ndarray, corners: np.ndarray, shares: np.ndarray, ws: np.ndarray, to: int
 ) -> None:
-    """Interpolate all numbers of four nodes at eight places between them, into rows of `ws`."""
-    one = every(np.float32(1))
-    top, left = one - down, one - right
-    wa, wb, wc, wd = top * left, top * right, down * left, down * right
-    for i in range(table.shape[1]):
-        value = wa * every(table[a, i]) + wb * every(table[b, i])
-        value = value + wc * every(table[c, i]) + wd * every(table[d, i])
-        store(ws, (to + i) * LANES, value)
+    """Interpolate all numbers of eight places into rows of `ws`.
+
+    Args:
+        table: of `Nodes`.
+        corners: (LANES, 4) where each place's four nodes begin in the flat table.
+        shares: (LANES, 4) float32 of them.
+        ws: flat float32, rows of LANES numbers.
+        to: first of the rows.
+    """
+    for i in range(0, table.shape[1], LANES):
+        store_turned(
+            ws, (to + i) * LANES,
+            _at_place(table, corners, shares, 0, i), _at_place(table, corners, shares, 1, i),
+            _at_place(table, corners, shares, 2, i), _at_place(table, corners, shares, 3, i),
+            _at_place(table, corners, shares, 4, i), _at_place(table, corners, shares, 5, i),
+            _at_place(table, corners, shares, 6, i), _at_place(table, corners, shares, 7, i),
+        )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
@@ -190,28 +200,30 @@ def pixel_kernel(
     maps: Maps,
     done: np.ndarray,
 ) -> None:
-    """Solve and finish the mask's pixels between safe nodes; (n,) `done` marks them."""
-    patterns = photos.bits.shape[0]
-    height, width = picture.mask.shape
+    """Solve and finish the mask's pixels between safe nodes; (n,) `done` marks them.
+
+    A cell has few pixels, nine where nodes are three apart: lanes are filled from one cell to the
+    next of a row.
+    """
+    patterns, width = photos.bits.shape[0], nodes.table.shape[1]
+    height, across = picture.mask.shape
     step = nodes.step
-    node = 6 * patterns
-    place = node + OF_PATTERN * patterns
-    state = place + OF_PLACE
+    state = 6 * patterns + width
     results = state + OF_STATE * patterns
     for r in prange(nodes.safe.shape[0]):
         ws = np.zeros((results + RESULTS) * LANES, np.float32)
         given = np.zeros(GIVEN, np.float32)
-        down, right = np.zeros(LANES, np.float32), np.zeros(LANES, np.float32)
+        corners, shares = np.zeros((LANES, 4), np.int64), np.zeros((LANES, 4), np.float32)
         saturation = np.zeros(LANES, np.float32)
         usable = np.zeros(LANES, np.bool_)
         at, near = np.zeros(LANES, np.int64), np.zeros(LANES, np.uint8)
         begin = (nodes.top + r) * step
         end = min(height, begin + step)
         first = picture.first[begin:end].copy()
+        filled = 0
         for c in range(nodes.safe.shape[1]):
-            beyond = min(width, (c + 1) * step)
+            beyond = min(across, (c + 1) * step)
             safe = nodes.safe[r, c]
-            filled = 0
             for y in range(begin, end):
                 for x in range(c * step, beyond):
                     if not picture.mask[y, x]:
@@ -220,27 +232,32 @@ def pixel_kernel(
                     first[y - begin] += 1
                     if not safe:
                         continue
-                    down[filled] = np.float32(y - begin) / np.float32(step)
-                    right[filled] = np.float32(x - c * step) / np.float32(step)
+                    down = np.float32(y - begin) / np.float32(step)
+                    right = np.float32(x - c * step) / np.float32(step)
+                    for i in range(2):
+                        for j in range(2):
+                            corners[filled, 2 * i + j] = width * nodes.number[r + i, c + j]
+                            share = (down if i else 1 - down) * (right if j else 1 - right)
+                            shares[filled, 2 * i + j] = share
                     usable[filled], saturation[filled] = read_pixel(photos, y, x, ws, filled)
                     at[filled], near[filled] = number, picture.inside[y, x]
                     filled += 1
                     if filled == LANES:
                         _solve_and_finish(
-                            nodes, np.int64(r), c, ws, down, right, usable, saturation, at, near,
-                            filled, patterns, rounds, spread, limits, given, maps, done,
+                            nodes.table, nodes.widest2, ws, corners, shares, usable, saturation,
+                            at, near, filled, patterns, rounds, spread, limits, given, maps, done,
                         )  # fmt: skip
                         filled = 0
-            if filled:
-                _solve_and_finish(
-                    nodes, np.int64(r), c, ws, down, right, usable, saturation, at, near,
-                    filled, patterns, rounds, spread, limits, given, maps, done,
-                )  # fmt: skip
+        if filled:
+            _solve_and_finish(
+                nodes.table, nodes.widest2, ws, corners, shares, usable, saturation,
+                at, near, filled, patterns, rounds, spread, limits, given, maps, done,
+            )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
 def _solve_and_finish(
-    nodes: Nodes, r: int, c: int, ws: np.ndarray, down: np.ndarray, right: np.ndarray,
+    table: np.ndarray, widest2: float, ws: np.ndarray, corners: np.ndarray, shares: np.ndarray,
     usable: np.ndarray, saturation: np.ndarray, at: np.ndarray, near: np.ndarray, filled: int,
     patterns: int, rounds: int, spread: Spread, limits: Limits, given: np.ndarray, maps: Maps,
     done: np.ndarray,
@@ -248,17 +265,12 @@ def _solve_and_finish(
     """Solve the pixels that wait in lanes of `ws`, and write their maps."""
     node = 6 * patterns
     place = node + OF_PATTERN * patterns
-    state = place + OF_PLACE
+    state = node + table.shape[1]
     results = state + OF_STATE * patterns
-    _mixed(
-        nodes.table,
-        nodes.number[r, c], nodes.number[r, c + 1],
-        nodes.number[r + 1, c], nodes.number[r + 1, c + 1],
-        ws, node, load(down, 0), load(right, 0),
-    )  # fmt: skip
+    _mixed(table, corners, shares, ws, node)
     solve_eight(
         ws, np.int64(0), node, state, place + TURN, results, patterns, rounds,
-        spread.read2, spread.shot2, spread.model2, spread.shade2, spread.kept, nodes.widest2,
+        spread.read2, spread.shot2, spread.model2, spread.shade2, spread.kept, widest2,
     )  # fmt: skip
     for j in range(filled):
         # A lane that is not sound may hold NaN, of which nothing is above 0.

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import cv2
 import numpy as np
+from numba import njit, prange
 
 from lightstage.rig import Camera
 from processing.lighting.lights import Shadows
@@ -15,12 +16,18 @@ from processing.refinement.finish import facing
 from processing.refinement.joint import Place, Scattered, lamps_of
 from processing.refinement.joint_kernels import Solved
 from processing.refinement.node_light import (
+    MIDDLE,
+    NORMAL,
+    OF_GRID,
     OF_PATTERN,
-    OF_PLACE,
+    PRIOR,
+    ROUGHNESS,
+    SPECULAR,
     TERMS,
     WIDEST_TAN,
     grid_kernel,
     node_kernel,
+    table_of,
     terms,
     turns,
 )
@@ -83,14 +90,15 @@ def grid_light(scene: Scene, camera: Camera, knows: GridKnows) -> GridLight:
     toward, right = -camera.cam_from_world[2, :3], camera.cam_from_world[0, :3]
     axis = np.stack([toward, right, np.cross(toward, right)]).astype(np.float32)
     count, patterns = len(good), len(scene.lights.patterns)
-    bends = np.zeros((count, patterns, 2 * TERMS + 3), np.float32)
-    table = np.column_stack(
-        [
-            np.concatenate([bends, knows.around.rest], axis=2).reshape(count, -1),
-            found.normal, knows.specular, averaged(found.normal, sight, good), knows.prior,
-            knows.roughness,
-        ]
-    ).astype(np.float32, copy=False)  # fmt: skip
+    first = patterns * OF_PATTERN
+    table = np.zeros((count, first + OF_GRID), np.float32)
+    table[:, :first].reshape(count, patterns, OF_PATTERN)[:, :, 2 * TERMS + 3 :] = knows.around.rest
+    for at, values in (
+        (NORMAL, found.normal), (SPECULAR, knows.specular[:, None]),
+        (MIDDLE, averaged(found.normal, sight, good)), (PRIOR, knows.prior),
+        (ROUGHNESS, knows.roughness[:, None]),
+    ):  # fmt: skip
+        table[:, first + at : first + at + values.shape[1]] = values
     place, turn = place_of(scene, knows.view), turns()
     grid_kernel(
         place.points_mm, place.views, place.shadows.corners, place.shadows.weights,
@@ -161,18 +169,35 @@ def safe_cells(number: np.ndarray, good: np.ndarray, sight: Sight, step_mm: floa
         sight: of the nodes.
         step_mm: depths that differ by more are two pieces.
     """
-    corners = (number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:])
-    safe = np.ones(corners[0].shape, bool)
-    for each in corners:
-        safe &= (each >= 0) & good[each]
-    depth = sight.depth_mm
-    four = np.stack([depth[:-1, :-1], depth[:-1, 1:], depth[1:, :-1], depth[1:, 1:]])
-    four[:, ~safe] = 0
-    safe &= four.max(axis=0) - four.min(axis=0) < step_mm
-    for one, other in ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)):
-        a, b = sight.normals[corners[one][safe]], sight.normals[corners[other][safe]]
-        safe[safe] = np.einsum("nk,nk->n", a, b) > MOST_BEND
+    safe = np.zeros((number.shape[0] - 1, number.shape[1] - 1), bool)
+    _mark_safe(number, good, sight.normals, sight.depth_mm, np.float32(step_mm), safe)
     return safe
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _mark_safe(
+    number: np.ndarray, good: np.ndarray, normals: np.ndarray, depth_mm: np.ndarray,
+    step_mm: float, safe: np.ndarray,
+) -> None:  # fmt: skip
+    """Fill in what `safe_cells` returns; arguments as there."""
+    for row in prange(safe.shape[0]):
+        y = np.int64(row)
+        four = np.zeros(4, np.int64)
+        for x in range(safe.shape[1]):
+            known = True
+            nearest, farthest = np.float32(np.inf), np.float32(-np.inf)
+            for k in range(4):
+                four[k] = number[y + k // 2, x + k % 2]
+                known = known and four[k] >= 0 and good[four[k]]
+                depth = depth_mm[y + k // 2, x + k % 2]
+                nearest, farthest = min(nearest, depth), max(farthest, depth)
+            if not (known and farthest - nearest < step_mm):
+                continue
+            for i in range(3):
+                for j in range(i + 1, 4):
+                    a, b = normals[four[i]], normals[four[j]]
+                    known = known and a[0] * b[0] + a[1] * b[1] + a[2] * b[2] > MOST_BEND
+            safe[y, x] = known
 
 
 def banded_nodes(
@@ -193,13 +218,12 @@ def banded_nodes(
             sight.points_mm[some],
             sight.views[some],
             Shadows(shadows.corners[some], shadows.weights[some], shadows.visible),
-            scene.bounced,
+            scene.from_skin,
             knows.view.mirrored,
         )
         mesh = sight.normals[some]
         others = np.column_stack([facing(mesh, place.views), sight.occlusion[some]])
-        width = len(scene.lights.patterns) * OF_PATTERN + OF_PLACE
-        table = np.zeros((len(mesh), width), np.float32)
+        table = table_of(len(mesh), len(scene.lights.patterns))
         good = np.zeros(len(mesh), bool)
         node_kernel(
             rows + top * sight.step, columns, knows.view.sight.step, light.number, light.table,

@@ -82,6 +82,11 @@ class Scene:
     facets: Facets = BECKMANN
 
     @property
+    def from_skin(self) -> np.ndarray:
+        """`bounced`, or (0, P, 3) where no light goes from skin to skin."""
+        return self.bounced if self.bounces else self.bounced[:0]
+
+    @property
     def interface(self) -> Interface:
         """What the skin's surface mirrors and lets through."""
         return skin_interface(self.facets)
@@ -199,14 +204,19 @@ def place_of(scene: Scene, view: View, some: slice | np.ndarray = ALL) -> Place:
         sight.points_mm[some],
         sight.views[some],
         Shadows(sight.shadows.corners[some], sight.shadows.weights[some], sight.shadows.visible),
-        scene.bounced,
+        scene.from_skin,
         view.mirrored,
     )
 
 
-def gloss_of(scene: Scene, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) roughness and (n,) specular albedo of a view's pixels, from the mesh."""
-    corners, weights = sight.shadows.corners, sight.shadows.weights
+def gloss_of(
+    scene: Scene, sight: Sight, some: slice | np.ndarray = ALL
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) roughness and (n,) specular albedo of a view's pixels, or some of them, from the mesh.
+
+    `some` is a slice or (n,) numbers.
+    """
+    corners, weights = sight.shadows.corners[some], sight.shadows.weights[some]
     both = np.stack([scene.gloss.roughness, scene.gloss.specular], axis=1).astype(np.float32)
     roughness, specular = at_vertices_to(both, corners, weights).T
     return np.ascontiguousarray(roughness), np.ascontiguousarray(specular)
@@ -233,14 +243,14 @@ def given_of(
     noise: Noise,
 ) -> Given:
     """Some of a view's pixels, a slice or (k,) numbers, with (k, 3) normals and known gloss."""
-    roughness, specular = gloss_of(scene, view.sight)
+    roughness, specular = gloss_of(scene, view.sight, some)
     return Given(
         view.rgb[some],
         scene.lights,
         place_of(scene, view, some),
         normals,
-        roughness[some],
-        specular[some],
+        roughness,
+        specular,
         scene.interface,
         around,
         noise,

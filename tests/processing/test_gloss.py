@@ -22,6 +22,7 @@ from processing.refinement.gloss import (
     better_gloss,
     local_specular,
     skin_gloss,
+    smooth,
     sum_at_vertices,
 )
 from processing.surface import LitSurface, Sight, lit_surface
@@ -78,6 +79,19 @@ def test_sums_at_vertices_are_those_of_a_plain_loop() -> None:
         for k in range(3):
             known[corners[i, k]] += weights[i, k] * evidence[i]
     np.testing.assert_allclose(sum_at_vertices(evidence, corners, weights, 10), known, rtol=1e-6)
+
+
+@given(seed=SEEDS, columns=st.integers(1, 5))
+@settings(max_examples=20, deadline=None)
+def test_means_over_a_meshs_neighbours_are_those_of_a_sparse_product(
+    seed: int, columns: int
+) -> None:
+    values = np.random.default_rng(seed).normal(size=(COUNT, columns))
+    average = SURFACE.average
+    # Vertices of an icosphere have six neighbours or five: rows of seven numbers and of six.
+    assert set(np.diff(average.indptr)) == {6, 7}
+    known = average @ (average @ (average @ values))
+    np.testing.assert_allclose(smooth(values, average, 3), known, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("pool_mm", [0.0, 6.0])

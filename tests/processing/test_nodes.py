@@ -12,6 +12,7 @@ from numba import njit
 
 from processing.frames.read import Frames
 from processing.lanes import LANES, above, at_most, load, root, store
+from processing.lighting.lights import Shadows
 from processing.readings import px_per_mm, read_pixels
 from processing.refinement import finish, node_light
 from processing.refinement.config import RefineConfig
@@ -20,7 +21,9 @@ from processing.refinement.gloss_search import find_gloss
 from processing.refinement.joint import Noise, lamps_of, solve_jointly, spread_of
 from processing.refinement.node_pixels import read_pixel
 from processing.refinement.node_solve import OF_STATE, RESULTS, solve_eight
+from processing.refinement.nodes import safe_cells
 from processing.refinement.scene import prepare_scene, read_view
+from processing.surface import Sight
 from tests.processing import lit_ball, test_joint, test_reflectance
 from tests.processing.lit_ball import PATTERNS, angle_deg
 from tests.processing.test_joint import BAD, INTERFACE, LIGHTS, Skin, given_by, skin
@@ -265,6 +268,30 @@ def test_lanes_divide_take_roots_and_compare() -> None:
     with np.errstate(divide="ignore", invalid="ignore"):
         known = [a / b, np.sqrt(a), np.where(a < b, a, b), np.float32(a > b)]
     np.testing.assert_allclose(out.reshape(4, LANES), known, rtol=1e-6)
+
+
+@given(seed=SEEDS)
+@settings(max_examples=20, deadline=None)
+def test_cells_are_safe_between_four_good_nodes_of_like_depths_and_normals(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mask = rng.uniform(size=(9, 11)) < 0.95
+    number = np.full(mask.shape, -1, np.int32)
+    number[mask] = np.arange(mask.sum())
+    good = rng.uniform(size=mask.sum()) < 0.97
+    normals = rng.normal([0, 0, 5], size=(mask.sum(), 3)).astype(np.float32)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    depth = np.where(mask, 500 + rng.normal(size=mask.shape), np.inf).astype(np.float32)
+    nothing = np.zeros(0)
+    shadows = Shadows(nothing, nothing, nothing)
+    sight = Sight(mask, nothing, normals, nothing, nothing, shadows, depth, 3)
+    found = safe_cells(number, good, sight, 3.0)
+    assert found.any()
+    for y, x in np.ndindex(found.shape):
+        four = number[y : y + 2, x : x + 2].ravel()
+        known = bool((four >= 0).all()) and bool(good[four].all())
+        known = known and float(np.ptp(depth[y : y + 2, x : x + 2])) < 3.0
+        known = known and (normals[four] @ normals[four].T).min() > np.cos(np.radians(20))
+        assert found[y, x] == known
 
 
 @functools.cache

@@ -228,6 +228,22 @@ def test_depth_edges_are_steps_and_the_end_of_the_surface_and_no_slopes() -> Non
     assert not found[5:15, 17:28].any()
 
 
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_depth_edges_are_those_of_plain_second_differences(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    depth = (500 + rng.normal(size=(12, 17)).cumsum(axis=0)).astype(np.float32)
+    depth[rng.uniform(size=depth.shape) < 0.1] = np.inf
+    where = rng.uniform(size=depth.shape) < 0.5
+    far = np.pad(np.where(np.isfinite(depth), depth, 1e6).astype(float), 1, mode="edge")
+    known = np.zeros(depth.shape, bool)
+    for dy, dx in ((0, 1), (1, 0), (1, 1), (-1, 1)):
+        ahead, behind = (far[1 + s * dy : 13 + s * dy, 1 + s * dx : 18 + s * dx] for s in (1, -1))
+        known |= np.abs(ahead + behind - 2 * far[1:-1, 1:-1]) > 2.5
+    np.testing.assert_array_equal(depth_edges(depth, 2.5), known)
+    np.testing.assert_array_equal(depth_edges(depth, 2.5, where), known & where)
+
+
 def test_fibonacci_directions_are_unit_and_even() -> None:
     found = fibonacci_sphere(1000)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, rtol=1e-12)
