@@ -24,7 +24,7 @@ from learning.photo.eye_texels import eye_texels, with_eyes
 from learning.photo.foreground import foreground
 from learning.photo.several import Joined, View, join
 from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape
-from learning.photo.skin_mask import around_eyes, features, in_no_light, no_skin
+from learning.photo.skin_mask import around_eyes, features, hair_texels, in_no_light, no_skin
 from learning.photo.unwrap import Unwrapped, unwrap, without_slivers
 from learning.relight import lit_texture, shadows_of
 from learning.render.uv import UvRaster, rasterise
@@ -137,7 +137,7 @@ def fit_head(
     # The light is the first photograph's. All that this one shows goes to the network, which knows
     # the outline of what one photograph shows: without the texels that others show better, the
     # tone was off.
-    network_sees = together.first if several else None
+    network_sees = together.first & first.skin
     inferred = first.inferred(
         network,
         together.texture,
@@ -146,7 +146,12 @@ def fit_head(
         camera,
         mesostructure,
         network_sees,
-        own=OwnShares(config.marks_share, config.detail_share, _own_eyes(texels, together.source)),
+        own=OwnShares(
+            config.marks_share,
+            config.detail_share,
+            _own_eyes(texels, together.source),
+            first.hair,
+        ),
     )
     progress(steps - 1, steps)
     notes += inferred.notes
@@ -274,11 +279,12 @@ def _together(looked: list[_Looked], texels: list[_Texels]) -> Joined:
         model = None
         if len(looked) > 1 and each.found is not None and each.found.light is not None:
             model = _coarse_model(looked[0], each, each.found.light)
-        allowed = resized(each.other.astype(np.float32), rows, columns) < 0.5
+        # Hair is no skin, by which light and tone are found, and yet the person's.
+        shown = own.skin if own.hair is None else own.skin | own.hair
         views.append(
             View(
                 own.unwrapped.texture,
-                own.unwrapped.seen & allowed,
+                own.unwrapped.seen & shown,
                 own.unwrapped.facing,
                 own.pixels,
                 None if model is None else resized(model, rows, columns),
@@ -326,6 +332,8 @@ class _Texels:
             features(template, self.raster),
         )
         self.read = ~around_eyes(template, self.raster)
+        self.hair = hair_texels(template, self.raster)
+        self.skin = resized(looked.other.astype(np.float32), *self.raster.covered.shape) < 0.5
         self.eyes: np.ndarray | None = None
         openings_px = looked.photograph.eyes_px
         if openings_px is not None and aside_deg(camera) <= MOST_ASIDE_DEG:

@@ -49,6 +49,14 @@ def around_eyes(template: Template, raster: UvRaster) -> np.ndarray:
     return _spread(_touched(_of_regions(template, ("eyes",)), raster), EYES_SPREAD)
 
 
+def hair_texels(template: Template, raster: UvRaster) -> np.ndarray | None:
+    """(rows, columns) bool, where most people have hair; None where a template names no `hair`."""
+    inside = _of_regions(template, ("hair",))
+    if not inside.any():
+        return None
+    return np.asarray(raster.interpolate(inside[:, None].astype(float))[..., 0] > 0.5)
+
+
 def _of_regions(template: Template, names: tuple[str, ...]) -> np.ndarray:
     """(n,) bool, vertices of some of a template's regions."""
     chosen = np.zeros(len(template.mesh.vertices), bool)
