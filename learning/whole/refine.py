@@ -55,6 +55,8 @@ LARGEST_MISFIT = 1.7
 """Largest misfit of a light that explains a texture: our people's have 0.2 to 0.6, a scanned head's
 0.8 to 1.5 (refinement is nearer to the truth than the network under each of six lights), a wrong
 one's 2."""
+LEAST_HAIR = 0.01
+"""Share of the texels with hair that must be known, for all to get their colour."""
 HAIRLINE_SHARE = 1 / 96
 """Standard deviation over which hair goes over into skin, of a texture's rows."""
 LARGEST_ROWS = 1536
@@ -76,12 +78,15 @@ class OwnShares:
         hair: (rows, columns) bool, texels that have hair on most people, and whose colour differs
             between people more than the skins' does. What is lit of them is the person's own as
             it is, and continued among them alone; None where they are like all others.
+        hidden: (rows, columns) bool, texels of which nothing is the skin's own, such as those under
+            a fringe; none where None.
     """
 
     marks: float = 0.6
     detail: float = 1.0
     whole: np.ndarray | None = None
     hair: np.ndarray | None = None
+    hidden: np.ndarray | None = None
 
 
 OF_TRUE_SHAPES = OwnShares()
@@ -193,6 +198,8 @@ def refine(
     if own.whole is not None:
         # A dark iris is no shadow, and has its own colour in place of the mean person's.
         known |= own.whole & photographed
+    if own.hidden is not None:
+        known &= ~own.hidden
     normals = None
     if mesostructure is not None and len(texture) >= mesostructure.least_rows:
         skin_known = known if own.hair is None else known & ~own.hair
@@ -375,8 +382,9 @@ def _with_marks(
     own_part = marks + own.detail * finer
     if own.whole is not None:
         own_part = np.where(own.whole[..., None], filled, own_part)
-    if own.hair is not None:
-        hair = without_gaps(beside, known & own.hair, covered, sides)
+    if own.hair is not None and (known & own.hair).sum() > LEAST_HAIR * own.hair.sum():
+        # Its own colour is continued: as a difference it would make skin beside it glow.
+        hair = without_gaps(np.log(unlit), known & own.hair, covered, sides) - base
         part = blurred(own.hair.astype(np.float32), HAIRLINE_SHARE * len(known))[..., None]
         own_part = part * hair + (1 - part) * own_part
     albedo: np.ndarray = np.exp(np.minimum(base + own_part, 0.0))
