@@ -135,7 +135,6 @@ def measure(
     normals = vertex_normals(truth, template.mesh.triangles())[face]
     network, _ = load_whole_face(shipped_weights())
     alone = dataclasses.replace(config, pixel_rounds=0)
-    pixels = dataclasses.replace(config, pixel_photographs=1)
 
     def off(vertices: np.ndarray) -> Off:
         beside = apart(vertices[face], truth[face])
@@ -158,14 +157,14 @@ def measure(
             if yaw == 0:
                 shapes.append(shape.neutral.vertices[face])
             began = time.perf_counter()
-            shape = fit_shape([shots[yaw]], template, places, pixels, model, network)
+            shape = fit_shape([shots[yaw]], template, places, config, model, network)
             scores.pixels_s.append(time.perf_counter() - began)
             scores.one_pixels.append(off(shape.meshes[0].vertices))
         if not lost:
             photographs = list(shots.values())
             shape = fit_shape(photographs, template, places, alone, model)
             scores.three_alone.append(off(shape.meshes[0].vertices))
-            shape = fit_shape(photographs, template, places, pixels, model, network)
+            shape = fit_shape(photographs, template, places, config, model, network)
             scores.three_pixels.append(off(shape.meshes[0].vertices))
         if whole and THREE_DEG[1] not in lost:
             began = time.perf_counter()

@@ -34,9 +34,9 @@ class FitConfig:
         rounds: of light, skin and mask in turns.
         pixel_rounds: of the shape from pixels and outlines after the landmarks; 0 for landmarks
             alone.
-        pixel_photographs: with fewer photographs the landmarks alone give the shape: from one,
-            pixels bring as many faces farther from the truth as nearer (docs/photo.md).
-        pixel_deviation: standard deviation of a pixel's logarithm from that of the model.
+        pixel_deviation: standard deviation of a pixel's logarithm from that of the model, whose
+            skin and light are never quite the photograph's: with a quarter of it, people who are
+            not ours are found less well (docs/notes/photo.md).
         pixel_alike_mm2: so much of the face errs as one.
         albedo_deviation: standard deviation of the albedo's logarithm, beside the mean person's
             pattern and the ways in which our people differ from it.
@@ -56,14 +56,13 @@ class FitConfig:
     free_mm: tuple[float, ...] = (1.0, 3.0)
     free_length_mm: tuple[float, ...] = (18.0, 40.0)
     asymmetry: float = 0.25
-    expression_spread: float = 0.25
+    expression_spread: float = 0.6
     refine_seconds: float = 20.0
     marks_share: float = 0.2
     detail_share: float = 0.75
     rounds: int = 2
     pixel_rounds: int = 3
-    pixel_photographs: int = 2
-    pixel_deviation: float = 0.12
+    pixel_deviation: float = 0.5
     pixel_alike_mm2: float = 15.0
     albedo_deviation: float = 0.02
     outline_mm: float = 1.5

@@ -221,7 +221,7 @@ def test_pixels_bring_a_person_outside_the_modes_nearer(
     shot: Shot, template: Template, places: Places, network: WholeFaceNetwork
 ) -> None:
     # Without the template's modes the person is none that the model was made of.
-    config = FitConfig(identity_modes=0, pixel_rounds=2, pixel_photographs=1)
+    config = FitConfig(identity_modes=0, pixel_rounds=2)
     model, photo = shape_model(template, config), photograph(shot)
     alone, found = (
         shape_of(photo, template, places, network, how, model)
@@ -261,7 +261,7 @@ def test_a_photograph_that_shows_nothing_leaves_the_landmarks_shape(
 ) -> None:
     photo = photograph(shot)
     empty = dataclasses.replace(photo, rgb_linear=np.full_like(photo.rgb_linear, value))
-    config = dataclasses.replace(SMALL, pixel_rounds=1, pixel_photographs=1)
+    config = dataclasses.replace(SMALL, pixel_rounds=1)
     found = shape_of(empty, template, places, network, config, small)
     assert np.isfinite(found.meshes[0].vertices).all()
     assert np.isfinite(found.deviation_mm).all()
