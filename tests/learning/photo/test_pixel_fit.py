@@ -236,6 +236,17 @@ def test_pixels_bring_a_person_outside_the_modes_nearer(
     assert found.deviation_mm[face].mean() < 0.9 * alone.deviation_mm[face].mean()
 
 
+def test_foreheads_that_hair_may_hide_and_lips_before_teeth_are_not_compared(
+    search: tuple[PixelFit, State], template: Template
+) -> None:
+    places, vertices = search[0].places, template.mesh.vertices
+    brows = vertices[template.landmarks[17:27], 1]
+    assert len(places.vertices) > 1000
+    assert vertices[places.vertices, 1].max() < brows.min()
+    assert not np.isin(places.vertices, template.regions["lips"]).any()
+    assert vertices[places.rim, 1].max() < brows.min()
+
+
 def test_a_hand_before_the_cheek_loses_its_weight(search: tuple[PixelFit, State]) -> None:
     fit, _ = search
     mean = fit.places.model.mean
