@@ -70,6 +70,8 @@ def avatar_command(
     if until not in stages:
         raise ConfigError("--until", found=repr(until), expected=" or ".join(stages))
     formats_of(formats)
+    if maps is not None:
+        _require_no_fit_options(request)
     out = request.out
     others = others_in(out, [RECORD, PAGE, *stages])
     if others:
@@ -126,6 +128,27 @@ def avatar_command(
         "notes": [*facts["notes"], *notes],
         "seconds": time.monotonic() - began,
     }
+
+
+def _require_no_fit_options(request: FitRequest) -> None:
+    """Refuse options of a fit where there is none."""
+    of_fit = {
+        "--landmarks": request.landmarks is not None,
+        "--face": request.face != 1,
+        "--focal-35mm": request.film_mm is not None,
+        "--checkpoint": request.checkpoint is not None,
+        "--rows": request.rows is not None,
+        "--refine": request.refine is not None,
+        "--config": request.config is not None,
+    }
+    given = [name for name, is_given in of_fit.items() if is_given]
+    if given:
+        raise ConfigError(
+            ", ".join(given),
+            found="given with --maps",
+            expected="photographs, as a captured head has no fit",
+            hint="Leave out what is of the fit.",
+        )
 
 
 def _is_made(stage: str, made: dict[str, str], key: str, out: Path) -> bool:

@@ -15,7 +15,7 @@ import dataclasses
 import hashlib
 import importlib.metadata
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -192,16 +192,22 @@ def load_tensors(checkpoint: Checkpoint, role: str) -> dict[str, Tensor]:
         tensors = load_file(path)
     except (SafetensorError, OSError) as error:
         raise CheckpointError(path, found=str(error), expected="a safetensors file") from None
+    for name in not_finite(tensors):
+        raise CheckpointError(
+            path,
+            field=name,
+            found=counted(int((~tensors[name].isfinite()).sum()), "NaN or infinite value"),
+            expected="finite weights",
+            hint="The training diverged; use an earlier checkpoint or a lower learning_rate.",
+        )
+    return tensors
+
+
+def not_finite(tensors: dict[str, Tensor]) -> Iterator[str]:
+    """Names of the tensors that hold NaN or infinity."""
     for name, values in tensors.items():
         if values.is_floating_point() and not bool(values.isfinite().all()):
-            raise CheckpointError(
-                path,
-                field=name,
-                found=counted(int((~values.isfinite()).sum()), "NaN or infinite value"),
-                expected="finite weights",
-                hint="The training diverged; use an earlier checkpoint or a lower learning_rate.",
-            )
-    return tensors
+            yield name
 
 
 def load_network(

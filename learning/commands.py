@@ -57,9 +57,9 @@ from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.consents import require_consents
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import read_exr, write_exr
-from lightstage.formats.files import others_in
+from lightstage.formats.files import atomic_folder, others_in, require_replaceable
 from lightstage.formats.mesh import Mesh, read_mesh
-from lightstage.formats.processed import MAPS, ProcessedFolder, write_map
+from lightstage.formats.processed import ProcessedFolder, write_map
 from lightstage.formats.template import load_template
 from lightstage.rig import Camera, default_rig, load_rig
 from processing.dataset import open_store, read_head_pose
@@ -71,6 +71,8 @@ NONE = "none"
 REFINE_SECONDS = 60.0
 """Default limit of `infer`'s refinement; most textures take less."""
 LIGHT = "light.json"
+INFERRED = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal", "confidence")
+"""Maps that `infer` writes. An atlas of a capture has others beside them."""
 ON_CPU = "Infer with --device cpu."
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
 
@@ -175,7 +177,9 @@ def _lit_head(
     mesh = folder.registered_mesh if request.mesh is None else request.mesh
     lights = read_light(request.environment, request.lights, request.rotate_deg)
     head = _head(request.maps, mesh, request.template)
-    pose = read_head_pose(folder.head_pose) if folder.head_pose.exists() else None
+    # The pose is the mesh's: maps of `infer` have none beside them.
+    beside = [ProcessedFolder(mesh.parent).head_pose, folder.head_pose]
+    pose = next((read_head_pose(path) for path in beside if path.exists()), None)
     return head, lights, shadows_of(head, lights, request.shadows, pose, progress)
 
 
@@ -195,7 +199,7 @@ def _head(maps: Path, mesh: Path, template: Path | None) -> TexturedHead:
         )
     shape = read_mesh(mesh)
     _require_uv(shape, mesh)
-    return load_head(maps, shape, load_template(template) if template else None)
+    return load_head(maps, shape, load_template(template) if template else None, mesh)
 
 
 def _require_uv(shape: Mesh, where: Path) -> None:
@@ -222,7 +226,9 @@ def train_command(
     overrides = read_toml(config) if config else {}
     if environment is not None:
         target = dataclasses.asdict(read_target_light(environment))
-        overrides["lights"] = {**overrides.get("lights", {}), "target": target}
+        lights = overrides.get("lights", {})
+        if isinstance(lights, dict):  # else `preset` refuses it
+            overrides["lights"] = {**lights, "target": target}
     if seconds is not None:
         overrides["seconds"] = seconds
     if seed is not None:
@@ -343,12 +349,11 @@ def infer_command(
                 found = infer_four(networks.to(device), *given)
             else:
                 found = infer(networks.to(device), *given)
-    for name, values in found.maps.items():
-        write_map(out / f"{name}.exr", name, values)
-    if found.light is not None:
-        write_lights(found.light, out / LIGHT)
-    else:
-        (out / LIGHT).unlink(missing_ok=True)
+    with atomic_folder(out, f"{INFERRED[0]}.exr") as folder:
+        for name, values in found.maps.items():
+            write_map(folder / f"{name}.exr", name, values)
+        if found.light is not None:
+            write_lights(found.light, folder / LIGHT)
     rows, columns = image.shape[:2]
     return {
         "rows": rows,
@@ -386,8 +391,8 @@ def _mesostructure(
 
 
 def _require_own(out: Path) -> None:
-    """Refuse a folder that holds anything but what `infer` writes, such as a dataset's store."""
-    others = others_in(out, [LIGHT, *(f"{name}.exr" for name in MAPS)])
+    """Refuse a folder that holds anything but what `infer` writes, such as a capture's atlas."""
+    others = others_in(out, [LIGHT, *(f"{name}.exr" for name in INFERRED)])
     if others:
         raise MapsError(
             out,
@@ -396,6 +401,7 @@ def _require_own(out: Path) -> None:
             expected="a new folder, or one with inferred maps, which are replaced",
             hint="Choose another --out.",
         )
+    require_replaceable(out, f"{INFERRED[0]}.exr")
 
 
 def upscale_command(

@@ -23,6 +23,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 VERSION = "brain.Event:2"
+EVENTS = "events.out.tfevents."
+"""How the names of these files begin."""
 VARINT, DOUBLE, BYTES, FLOAT = 0, 1, 2, 5
 """Wire types of protocol buffers."""
 _POLYNOMIAL = 0x82F63B78
@@ -44,7 +46,7 @@ class EventFile:
         records = record(event(time.time(), step, shown))
         if self._path is None:
             now = time.time()
-            name = f"events.out.tfevents.{int(now):010d}.{secrets.token_hex(4)}"
+            name = f"{EVENTS}{int(now):010d}.{secrets.token_hex(4)}"
             self._folder.mkdir(parents=True, exist_ok=True)
             self._path = self._folder / name
             version = _field(3, BYTES, VERSION.encode())

@@ -10,7 +10,14 @@ import torch
 from torch import Tensor
 
 from learning.errors import MapsError
-from learning.map_checks import looks_encoded, not_unit, require_albedo, require_millimetres
+from learning.map_checks import (
+    compared_texels,
+    looks_encoded,
+    not_unit,
+    require_albedo,
+    require_millimetres,
+    require_same_surface,
+)
 from learning.render.shading import SkinMaps
 from learning.render.uv import UvRaster, rasterise, texel_surface
 from lightstage.counting import counted
@@ -45,26 +52,34 @@ class TexturedHead:
     notes: tuple[str, ...] = ()
 
 
-def load_head(folder: Path, mesh: Mesh, template: Template | None = None) -> TexturedHead:
+def load_head(
+    folder: Path,
+    mesh: Mesh,
+    template: Template | None = None,
+    mesh_named: str | Path = "mesh",
+) -> TexturedHead:
     """Read a folder of atlas maps.
 
     Needed are diffuse_albedo, specular_albedo, diffuse_normal and specular_normal; a texel without
     a normal takes the mesh's; normals of another length than 1 are made unit and counted; an albedo
     that looks like undecoded sRGB is warned of, and taken as it is. ambient_occlusion and
-    confidence are used where present. Shininess and translucency come from the template.
+    confidence are used where present, and position shows whose maps they are. Shininess and
+    translucency come from the template.
 
     Args:
         folder: such as OUT/atlas.
         mesh: with UV, in the axes of the normals.
         template: its skin maps are used; without one, constants.
+        mesh_named: what to name the mesh in errors.
 
     Raises:
-        MapsError: maps of different sizes, a negative albedo, a mesh that is not in mm.
+        MapsError: maps of different sizes or of another mesh, a negative albedo, a mesh that is not
+            in mm.
         FormatError: a missing map, NaN, or a mesh without UV.
     """
     names = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")
     maps = {name: read_map(folder / f"{name}.exr", name) for name in names}
-    for name in ("ambient_occlusion", "confidence", "roughness"):
+    for name in ("ambient_occlusion", "confidence", "roughness", "position"):
         if (folder / f"{name}.exr").exists():
             maps[name] = read_map(folder / f"{name}.exr", name)
     rows, columns = maps["diffuse_albedo"].shape[:2]
@@ -78,11 +93,14 @@ def load_head(folder: Path, mesh: Mesh, template: Template | None = None) -> Tex
             )
     for name in ("diffuse_albedo", "specular_albedo"):
         require_albedo(maps[name], folder / f"{name}.exr")
-    require_millimetres(mesh, "mesh")
+    require_millimetres(mesh, mesh_named)
     raster = rasterise(mesh, rows, columns)
     notes = _notes(maps, raster.covered)
     position = raster.interpolate(mesh.vertices)
     normals = raster.normals(mesh)
+    texels = compared_texels(raster.covered)
+    place_mm, normal = (values.reshape(-1, 3)[texels] for values in (position, normals))
+    require_same_surface(maps, texels, place_mm, normal, folder, mesh_named)
     for name in ("diffuse_normal", "specular_normal"):
         missing = np.linalg.norm(maps[name], axis=2) < 1e-3
         maps[name] = np.where(missing[..., None], normals, maps[name])

@@ -17,7 +17,14 @@ from learning.checkpoint import INDEX, Checkpoint, load_network, save_checkpoint
 from learning.errors import CheckpointError, MapsError
 from learning.infer_checks import require_head
 from learning.render.light_dome import even_directions
-from learning.render.occlusion_model import OcclusionConfig, OcclusionTable, bake_dome
+from learning.render.occlusion_model import (
+    OcclusionConfig,
+    OcclusionTable,
+    bake_dome,
+    default_occlusion,
+    default_occlusion_path,
+    load_occlusion,
+)
 from learning.render.occlusion_network import (
     LEAST_ALIKE,
     OcclusionNetwork,
@@ -33,6 +40,7 @@ from lightstage.errors import FormatError
 from lightstage.formats.config import as_dict
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.template import default_template_path, load_template
 from processing.dataset import read_head_pose
 
 SCORED_SETS = 120
@@ -106,7 +114,7 @@ def table_of(baked: BakedHeads) -> OcclusionTable:
     """The table of what each texel sees on more than half of the heads."""
     seen = baked.visibility.sum(axis=0, dtype=np.uint16)
     most = 2 * seen > len(baked.visibility)
-    return OcclusionTable(np.packbits(most, axis=1), baked.raster.covered)
+    return OcclusionTable(np.packbits(most, axis=1), baked.raster.covered, baked.raster.face)
 
 
 def train_occlusion(
@@ -165,6 +173,41 @@ def load_occlusion_network(path: Path) -> tuple[OcclusionNetwork, Checkpoint]:
     family = OcclusionTrainConfig.family
     made = OcclusionNetwork, "network"
     return load_network(path, family, family, OcclusionNetworkConfig, *made)
+
+
+def occlusion_table_for(path: Path | None, mesh: Mesh) -> OcclusionTable:
+    """A table that may shade a head.
+
+    Args:
+        path: of the table; our own template's where None.
+        mesh: of the head.
+
+    Raises:
+        CheckpointError: no table, or one of another UV.
+    """
+    if path is None:
+        where, table = default_occlusion_path(), default_occlusion()
+        own = load_template(default_template_path()).mesh
+        face: np.ndarray | None = rasterise(own, *table.covered.shape).face
+    else:
+        where, table = path, load_occlusion(path)
+        face = table.face
+    if face is None:
+        return table
+    try:
+        alike = likeness(face, rasterise(mesh, *face.shape).face)
+    except FormatError:  # nothing of it is in the tile
+        alike = 0.0
+    if alike < LEAST_ALIKE:
+        raise CheckpointError(
+            where,
+            field="face",
+            found=f"{alike:.0%} of the texels show the triangle of the head to render",
+            expected=f"at least {LEAST_ALIKE:.0%}, a head of the UV that the table was baked in",
+            hint="Bake one of the head's template by `lightstage-learning occlusion --template`, "
+            "or use --shadows baked.",
+        )
+    return table
 
 
 def occlusion_network_for(path: Path, mesh: Mesh, lights: int) -> OcclusionNetwork:

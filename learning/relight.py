@@ -11,10 +11,9 @@ from torch import Tensor
 
 from learning.errors import MapsError
 from learning.maps import TexturedHead, from_batch
-from learning.occlusion_run import occlusion_network_for
+from learning.occlusion_run import occlusion_network_for, occlusion_table_for
 from learning.render.environments import from_light_set
 from learning.render.occlusion import bake_environment
-from learning.render.occlusion_model import default_occlusion, load_occlusion
 from learning.render.panorama import load_panorama, median_cut
 from learning.render.shading import ShadeOptions, shade
 from learning.render.view import render_view
@@ -111,7 +110,7 @@ def shadows_of(
     Raises:
         ConfigError: none of `SHADOWS`.
         CheckpointError, FormatError: a file that holds no network for this head and light, or no
-            table.
+            table for this head.
     """
     kind, _, named = how.partition(":")
     if how not in SHADOWS[:3] and not (named and f"{kind}:" in (TABLE, NETWORK)):
@@ -127,7 +126,7 @@ def shadows_of(
     place = torch.from_numpy(lights.position_mm @ pose[:, :3].T + pose[:, 3]).float()
     size = (head.raster.covered.shape[0], head.raster.covered.shape[1])
     if kind == "table":
-        table = load_occlusion(Path(named)) if named else default_occlusion()
+        table = occlusion_table_for(Path(named) if named else None, head.mesh)
         return table.for_lights(place, size)[None]
     network = occlusion_network_for(Path(named), head.mesh, len(lights.rgb))
     with torch.inference_mode():

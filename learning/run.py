@@ -9,7 +9,6 @@ import contextlib
 import dataclasses
 import json
 import math
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -17,22 +16,34 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from torch import Tensor
 
-from learning.checkpoint import INDEX, Checkpoint, read_checkpoint, save_checkpoint, save_tensors
+from learning.checkpoint import (
+    INDEX,
+    Checkpoint,
+    not_finite,
+    read_checkpoint,
+    save_checkpoint,
+    save_tensors,
+)
 from learning.clock import NETWORK, Clock
 from learning.errors import CheckpointError, TrainingError
-from learning.event_file import EventFile
+from learning.event_file import EVENTS, EventFile
 from learning.guard import LEAP, LEAP_FROM_FIRST, WINDOW, Guard
 from learning.processes import ALONE, Processes
 from learning.samples import Sample, write_samples
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
+from lightstage.errors import DiskError
 from lightstage.formats.config import as_dict
-from lightstage.formats.files import others_in
+from lightstage.formats.files import others_in, write_bytes
+from lightstage.formats.lock import locked
 from lightstage.formats.values import parse_json
 from lightstage.interrupts import first_signal_noted
 from processing.dataset import Store
 
-METRICS = "metrics.jsonl"
+METRICS, RATE = "metrics.jsonl", "learning_rate"
+"""A run's curves, and what every line of a step has among its losses."""
+LOCK = ".lock"
+"""Held while a training writes into its folder; the empty file stays."""
 OWN = (METRICS, "*.safetensors", "events.*", "samples.html", ".*")
 """What a run that stopped before its first checkpoint leaves, half-written files too."""
 BEFORE = {"shading": "physical", "ema": 0.0, "steps": None}
@@ -150,7 +161,8 @@ class Run:
         batch is kept in `stopped-STEP.safetensors`.
 
         Raises:
-            TrainingError: losses that are not finite, or that leapt and stay high.
+            TrainingError: losses or weights that are not finite, or losses that leapt and stay
+                high.
         """
         finished, saved, whole = self.first, time.monotonic(), True
         guard = Guard()
@@ -182,6 +194,46 @@ class Run:
                     self._save(learner, finished, self.about)
                 raise
         return finished
+
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """Keep other trainings out of the folder within the block.
+
+        What is left there of steps that no checkpoint has is removed first. On a disk that cannot
+        lock files nothing keeps other trainings out.
+
+        Raises:
+            CheckpointError: another training writes there, or did since this one began.
+        """
+        with contextlib.ExitStack() as held:
+            if self.processes.first:
+                busy = CheckpointError(
+                    self.out,
+                    found="another training that writes there now",
+                    expected="a folder of this one's own",
+                    hint="Wait until it ends, or choose another --out.",
+                )
+                with contextlib.suppress(DiskError):
+                    held.enter_context(locked(self.out / LOCK, busy))
+                there = read_checkpoint(self.out).step if (self.out / INDEX).exists() else 0
+                if there != self.first:
+                    raise CheckpointError(
+                        self.out / INDEX,
+                        found=f"step {there}, of another training that ended meanwhile",
+                        expected=f"step {self.first}, as when this one began",
+                        hint="Resume it with --resume, or choose another --out.",
+                    )
+                self._drop_lost()
+            yield
+
+    def _drop_lost(self) -> None:
+        """Remove the curves of steps that no checkpoint has."""
+        if (self.out / INDEX).exists():
+            _drop_lost_lines(self.out / METRICS, self.first)
+            return
+        # Of a run that ended before its first checkpoint: its curves are not this one's.
+        for path in (self.out / METRICS, *self.out.glob(f"{EVENTS}*")):
+            path.unlink(missing_ok=True)
 
     @contextlib.contextmanager
     def scoring(self, learner: Learner, steps: int) -> Iterator[None]:
@@ -229,7 +281,15 @@ class Run:
             return self.out / INDEX
         spent = self.spent + self.clock.step_seconds
         about = {**about, "step_seconds": round(spent, 2)}
-        return save_checkpoint(self.out, steps, learner.tensors(), about)
+        tensors = learner.tensors()
+        # A step whose loss is finite may still have infinite gradients.
+        wrong = next(
+            (f"{role}, {name}" for role in tensors for name in not_finite(tensors[role])), None
+        )
+        if wrong is not None:
+            found = f"NaN or infinite values in {wrong}"
+            raise self._astray(learner, steps - 1, found, "finite weights")
+        return save_checkpoint(self.out, steps, tensors, about)
 
     def _astray(self, learner: Learner, step: int, found: str, expected: str) -> TrainingError:
         kept = self.out / f"stopped-{step:07d}.safetensors"
@@ -330,8 +390,6 @@ def begin(
         _check_same(checkpoint, config, store)
         load(checkpoint)
         first, spent = checkpoint.step, checkpoint.step_seconds
-        if processes.first:
-            _drop_half_line(out / METRICS)
     elif processes.first or (out / INDEX).exists():
         require_new(out, "Resume it with --resume, or choose another --out.")
     about = {
@@ -463,8 +521,32 @@ def _differences(then: Any, now: Any, name: str = "") -> dict[str, tuple[Any, An
     return found
 
 
-def _drop_half_line(path: Path) -> None:
-    """Cut off a last line that a killed training did not finish, so that none is joined to it."""
-    if path.exists():
-        whole = path.read_bytes().rfind(b"\n") + 1
-        os.truncate(path, whole)
+def _drop_lost_lines(path: Path, first: int) -> None:
+    """Leave out of a run's metrics what is of no step that its checkpoint has.
+
+    A training that was killed logged steps after its last checkpoint, which are taken again, and
+    may have left half a line, to which the next one would be joined.
+
+    Args:
+        path: of the metrics, one JSON object a line.
+        first: step with which the run is resumed.
+    """
+    if not path.exists():
+        return
+    lines = path.read_bytes().splitlines(keepends=True)
+    kept = [line for line in lines if _is_before(line, first)]
+    if len(kept) < len(lines):
+        write_bytes(path, b"".join(kept))
+
+
+def _is_before(line: bytes, first: int) -> bool:
+    """Whether a line of metrics is whole, and of a step before `first`, or of a score at it."""
+    if not line.endswith(b"\n"):
+        return False
+    try:
+        values = json.loads(line)
+        step = int(values["step"])
+    except (ValueError, TypeError, KeyError):
+        return False
+    # Step N is logged once it is taken, and the score of N steps under N too.
+    return step < first or (step == first and RATE not in values)

@@ -70,7 +70,7 @@ def train(
     Raises:
         TrainingError: too few people or patches, or losses that are not finite.
         CheckpointError: nothing to resume, another configuration or other data; or, without
-            `resume`, a run that is there already.
+            `resume`, a run that is there already; or another training that writes there.
     """
     make, task_of = TRAINERS[config.family]
     require_within(config, "training")
@@ -83,8 +83,9 @@ def train(
     for network in trainer.networks():
         processes.same_tensors(network.state_dict().values())
     learner = BatchLearner(trainer, task.draw)
-    with learner.ahead():
-        steps = run.steps(learner, task.steps, progress)
-    with run.scoring(learner, steps):
-        score, samples = task.finish()
-    return run.end(learner, steps, task.examples, score, samples)
+    with run.alone():
+        with learner.ahead():
+            steps = run.steps(learner, task.steps, progress)
+        with run.scoring(learner, steps):
+            score, samples = task.finish()
+        return run.end(learner, steps, task.examples, score, samples)

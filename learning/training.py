@@ -23,7 +23,7 @@ from learning.config import TrainingConfig
 from learning.devices import CPU, moved
 from learning.loader import Ahead, threads_may_render
 from learning.processes import ALONE, Processes
-from learning.run import ScoreT
+from learning.run import RATE, ScoreT
 from learning.samples import Sample
 
 BatchT = TypeVar("BatchT")
@@ -129,7 +129,7 @@ class BatchLearner(Generic[BatchT]):
                 batch = self._batches.get(number)
             else:
                 batch = self._own_share(number)
-        return {"learning_rate": rate, **trainer.step(moved(batch, trainer.device), number)}
+        return {RATE: rate, **trainer.step(moved(batch, trainer.device), number)}
 
     def batch(self, number: int) -> dict[str, Tensor]:
         """See `Learner`."""

@@ -30,6 +30,7 @@ from lightstage.formats.template import default_template_path
 from processing import dataset_commands
 from processing.atlas.config import AtlasConfig
 from processing.batch import command as batch_command
+from processing.batch.config import take_batch
 from processing.calibration import command as calibration_command
 from processing.calibration.cameras import command as cameras_command
 from processing.calibration.lights import wiring_command
@@ -166,7 +167,7 @@ def _process(
 ) -> None:
     from processing import pipeline
 
-    settings = pipeline.read_config(config, atlas_rows, *meshes, force=force)
+    settings = pipeline.read_config(config, atlas_rows, *meshes, force=force, take=take_batch)
     with limited_access(group_of([session])):
         report = pipeline.run(
             session, out, template, settings, until=until, only=only, bar=progress_bar
@@ -197,7 +198,7 @@ def _why(
     """Print which stages would run, and why."""
     from processing import pipeline
 
-    settings = pipeline.read_config(config, atlas_rows, *meshes, force=force)
+    settings = pipeline.read_config(config, atlas_rows, *meshes, force=force, take=take_batch)
     reasons = pipeline.why(pipeline.read_job(session, out, template, settings, until), until)
     lines = [f"{stage}: {reason or 'up to date'}" for stage, reason in reasons.items()]
     finish("\n".join(lines), {"out": str(out), "stages": reasons}, as_json)
@@ -238,6 +239,18 @@ def register_mesh(
     from processing.registration.start import landmarks_unit, require_surface
     from processing.units import MM, axis_name, largest_side, likely_unit
 
+    if landmarks is not None and landmark_command is not None:
+        raise ProcessingError(
+            "--landmark-command", found="it beside --landmarks", expected="one of the two"
+        )
+    if out.exists() and mesh.exists() and out.samefile(mesh):
+        raise ProcessingError(
+            out,
+            field="--out",
+            found="the scan itself",
+            expected="another file",
+            hint="The registered mesh would take the scan's place.",
+        )
     shape, scan = load_template(template), read_mesh(mesh)
     settings = pipeline.read_config(config).register
     command = landmark_command or settings.landmark_command
@@ -307,6 +320,7 @@ def build(
     processed: list[Path] = typer.Argument(..., help="Processed folders.", show_default=False),
     out: Path = output_folder("--out", help="Store to make."),
     overwrite: bool = Overwrite,
+    consents: Path | None = ConsentsOption,
     as_json: bool = JsonFlag,
 ) -> None:
     """The lab's store: whole maps of every scan."""
@@ -322,7 +336,7 @@ def build(
     require_new(out, overwrite, DATASET, STORE)
     folders, passed = without_people_files(processed)
     with limited_access(group_of(folders)), progress_bar("dataset build") as progress:
-        build_store(folders, out, progress)
+        build_store(folders, out, progress, consents)
     scans = open_store(out).scans
     subjects = len({scan.subject for scan in scans})
     unasked = len({s.subject for s in scans if not (s.consent or s.synthetic)})

@@ -15,19 +15,23 @@ from lightstage.errors import FormatError, one_error
 from lightstage.formats.config import as_dict, make_config, read_toml
 from lightstage.formats.files import write_json
 from lightstage.formats.lock import locked
+from lightstage.formats.mesh import read_ply
 from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
 from processing.atlas.config import AtlasConfig
 from processing.atlas.stage import atlas
+from processing.bounds import require_possible
 from processing.coarse_maps import has_coarse, write_as_views
 from processing.decode.completing import unmendable_frames, with_complements
 from processing.decode.config import DecodeConfig
 from processing.decode.stage import decode, lit_patterns
 from processing.errors import ProcessingError
 from processing.pages import lacks_head, write_processed_report
+from processing.reconstruction.colmap_folder import require_maps
 from processing.reconstruction.given import require_given
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
 from processing.records import (
+    EVALUATION,
     REPORT_SCHEMA,
     RUN_LOCK,
     MadeFrom,
@@ -115,6 +119,7 @@ def read_config(
     occluders: Path | None = None,
     *,
     force: bool = False,
+    take: Callable[[dict[str, Any], str | Path], object] | None = None,
 ) -> PipelineConfig:
     """Defaults, overridden by a TOML file, overridden by the command line.
 
@@ -124,12 +129,17 @@ def read_config(
         mesh: of the head, in place of a reconstructed one.
         occluders: mesh of what else casts shadows.
         force: continue where photographs contradict each other or their patterns.
+        take: takes tables that are no stage's out of the file's values, such as `take_batch`.
 
     Raises:
-        ConfigError: an unknown table or key, or a value of another type.
+        ConfigError: an unknown table or key, a value of another type, or one that no stage can
+            work with (`bounds`).
     """
     values = {} if path is None else read_toml(path)
-    found = config_of(values, path or "configuration", atlas_rows, mesh, occluders)
+    where = path or "configuration"
+    if take is not None:
+        take(values, where)
+    found = config_of(values, where, atlas_rows, mesh, occluders)
     return found.as_forced() if force else found
 
 
@@ -146,6 +156,7 @@ def config_of(
         config = dataclasses.replace(
             config, atlas=dataclasses.replace(config.atlas, rows=atlas_rows)
         )
+    require_possible(config, where)
     given = {"mesh": mesh, "occluders": occluders}
     meshes: dict[str, Any] = {name: str(file) for name, file in given.items() if file is not None}
     return dataclasses.replace(
@@ -193,7 +204,7 @@ def run(
     last = only or until
     job = read_job(session_path, out, template_path, config, last)
     # What these refuse is refused before the folder is made.
-    require_given(config.reconstruct)
+    _require_named(config)
     _plan(job, last, only)
     with locked(out / RUN_LOCK, busy(out)):
         remove_leftovers(out)
@@ -207,6 +218,20 @@ def run(
         if planned or lacked or lacks_head(out):
             write_processed_report(out, report)
     return {**report, "ran": planned}
+
+
+def _require_named(config: PipelineConfig) -> None:
+    """Read the meshes, and find the depth maps, that a configuration names.
+
+    Raises:
+        FormatError: no such file or folder, or no mesh and no depth map.
+        ReconstructionError: a mesh in another unit than mm.
+    """
+    if config.decode.mesh:
+        read_ply(Path(config.decode.mesh))
+    require_given(config.reconstruct)
+    if config.reconstruct.colmap_from:
+        require_maps(Path(config.reconstruct.colmap_from))
 
 
 def read_job(
@@ -239,7 +264,15 @@ def read_job(
         raise one_error(problems)
     require_own(out)
     patterns = lit_patterns(session)
-    normals = last == STAGES[0] or not patterns or give_normals(session, patterns)
+    if not patterns:
+        raise ProcessingError(
+            session.root / "session.json",
+            field="sequence",
+            found=f"no pattern with light among {', '.join(session.file.sequence) or 'none'}",
+            expected="photographs of a lit face",
+            hint="Is the capture finished? `lightstage check SESSION` shows what is there.",
+        )
+    normals = last == STAGES[0] or give_normals(session, patterns)
     if last in WITH_NORMALS and not normals:
         raise no_normals(patterns)
     if not (template_path / "template.json").is_file():
@@ -288,7 +321,7 @@ def run_next(job: Job, last: str = STAGES[-1], bar: Bar = no_bar) -> tuple[str |
     Raises:
         LightstageError: as `run`; ProcessingError also where another run holds the folder.
     """
-    require_given(job.config.reconstruct)
+    _require_named(job.config)
     with locked(job.out / RUN_LOCK, busy(job.out)):
         remove_leftovers(job.out)
         records, inputs, planned = _plan(job, last, None)
@@ -369,8 +402,8 @@ def _only(
     """One stage; `separate` decodes first where that is stale, since it has no command."""
     before = job.stages[: job.stages.index(stage)]
     if stage == "separate":
-        fresh = "decode" in records and records["decode"].key == inputs["decode"].key
-        return ["separate"] if fresh else ["decode", "separate"]
+        stale = why_stale(records.get("decode"), inputs["decode"], None, job.out)
+        return ["separate"] if stale is None else ["decode", "separate"]
     missing = [name for name in before if name not in records]
     if "separate" in before and stage in READS_COARSE and "separate" not in missing:
         # An older version wrote coarse maps to views/ alone, where `refine` overwrote them.
@@ -395,6 +428,8 @@ def _run_stage(
         # From its first file on, what `separate` left in views/ is no longer all there.
         own = [name for name in kept["separate"].outputs if not name.startswith(VIEWS)]
         kept["separate"] = dataclasses.replace(kept["separate"], outputs=own)
+    # What `evaluate` found was of other maps than those that are made now.
+    (job.out / EVALUATION).unlink(missing_ok=True)
     if stage == "separate":
         # Maps in views/ are of other coarse ones; `refine`, or the run's end, writes them anew.
         for path in (job.out / VIEWS).glob("*/*.exr"):
@@ -408,7 +443,8 @@ def _run_stage(
     give_back()
     after = files_in(job.out)
     outputs = sorted(name for name in after if after[name] != before.get(name))
-    kept[stage] = Record(inputs.key, outputs, facts, inputs.parts)
+    config = as_dict(getattr(job.config, stage))
+    kept[stage] = Record(inputs.key, outputs, facts, inputs.parts, config)
     write_records(job.out, job.made_from, kept)
     return kept
 
@@ -451,7 +487,10 @@ def _write_views(job: Job, records: dict[str, Record], bar: Bar) -> dict[str, Re
 
 
 def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:
-    """Write OUT/report.json from the finished stages; returns its content."""
+    """Write OUT/report.json from the finished stages; returns its content.
+
+    The settings are those that each stage ran with, which may be others than this run's.
+    """
     stages = {name: dict(records[name].facts) for name in STAGES if name in records}
     warnings = [
         f"{name}: {warning}"
@@ -467,7 +506,7 @@ def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:
         "stages": stages,
         "warnings": warnings,
         "versions": versions(),
-        "config": {stage: as_dict(getattr(job.config, stage)) for stage in STAGES},
+        "config": {name: record.config for name, record in records.items()},
     }
     write_json(job.out / "report.json", report)
     return report

@@ -24,10 +24,18 @@ SCHEMA = "processing.stages/1"
 REPORT_SCHEMA = "processing.report/1"
 MADE_FIRST = ("work", "views", "stages.json")
 """What a stage makes before all else: a folder with one of these is a processed folder."""
+EVALUATION = "evaluation.json"
+"""Errors of a processed folder against truth; they hold until a stage runs again."""
 RUN_LOCK = "run.lock"
 """Held while stages run, so that two runs do not share a folder."""
 REPORTED = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d", "pycolmap")
-CODE = ("processing", "lightstage/formats", "lightstage/rig", "lightstage/patterns/names.py")
+CODE = (
+    "processing",
+    *(f"lightstage/{name}" for name in ("formats", "rig", "patterns", "faces")),
+    *(f"lightstage/{name}.py" for name in ("meshlab", "nearest_point")),
+    *(f"lightstage/{name}.py" for name in ("containers", "exif", "photo_file", "tiff")),
+)
+"""Folders and files whose code results depend on; what a stage reaches of them is in its key."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,12 +48,14 @@ class Record:
         facts: JSON-ready, with seconds and peak_rss_mb.
         parts: what the key was made of, each a hash (`stage_inputs`); empty where an older version
             wrote it.
+        config: the resolved configuration that it ran with; empty likewise.
     """
 
     key: str
     outputs: list[str]
     facts: dict[str, Any]
     parts: dict[str, str] = dataclasses.field(default_factory=dict)
+    config: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)

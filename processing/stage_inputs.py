@@ -26,7 +26,8 @@ STAGE_MODULES = {
 REASONS = {
     "code": "its code has changed",
     "configuration": "its configuration has changed",
-    "files": "a file that it reads has changed: the session's, a template's, landmarks or a mesh",
+    "files": "a file that it reads has changed: the session's, a template's, landmarks, a mesh or "
+    "depth maps",
 }
 
 
@@ -125,11 +126,19 @@ def _files(session: Session, stage: str, config: Any) -> list[str | None]:
             files += [path, *sorted(path.parent.glob(f"{path.stem}-*.npz"))]
         return [sha256_file(path) for path in [*files, *_meshes(config.mesh)]]
     if stage == "reconstruct":
-        return [sha256_file(path) for path in _meshes(config.mesh, config.occluders)]
+        read = [sha256_file(path) for path in _meshes(config.mesh, config.occluders)]
+        # The name of a depth map is its camera's.
+        maps = _depth_maps(config.colmap_from)
+        return [*read, *(f"{path.name} {sha256_file(path)}" for path in maps)]
     if _fits(stage):
         landmarks = session.root / LANDMARKS
         return [sha256_file(landmarks) if landmarks.is_file() else None]
     return []
+
+
+def _depth_maps(folder: str) -> list[Path]:
+    """Depth maps of COLMAP's in a folder that a configuration names, empty for none."""
+    return sorted(Path(folder).glob("stereo/depth_maps/*.bin")) if folder else []
 
 
 def _meshes(*names: str) -> list[Path]:

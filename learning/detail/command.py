@@ -17,7 +17,7 @@ from learning.vectors import unit
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
 from lightstage.formats.exr import write_exr
-from lightstage.formats.files import atomic_folder, write_json
+from lightstage.formats.files import atomic_folder, require_replaceable, write_json
 from lightstage.formats.mesh import write_obj
 
 SCHEMA = "lightstage.detail/1"
@@ -56,6 +56,7 @@ def detail_command(
         )
     if not 0 <= times <= MOST_TIMES:
         raise ConfigError("--subdivide", found=str(times), expected=f"0 to {MOST_TIMES}")
+    require_replaceable(out, ABOUT)
     source = read_source(maps, mesh)
     rows, columns = source.size
     progress(1, 3)

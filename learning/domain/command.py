@@ -20,6 +20,7 @@ from learning.networks.whole_face import WholeFaceNetwork
 from learning.render.environments import TargetLight
 from learning.whole.refine import CAMERA_MM
 from lightstage.commands import ProgressCallback
+from lightstage.counting import counted
 from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.environment import LightSet, read_lights, write_lights
 from lightstage.formats.exr import read_exr
@@ -109,8 +110,8 @@ def domain_light(
     notes = []
     if len(samples) < FEW:
         notes.append(
-            f"{len(samples)} textures: what the network gets wrong of a person's tone is in the "
-            f"light's strength; {FEW} and more average it out"
+            f"{counted(len(samples), 'texture')}: what the network gets wrong of a person's tone "
+            f"is in the light's strength; {FEW} and more average it out"
         )
     if len(chosen) < len(found):
         notes.append(f"{len(chosen)} of {len(found)} textures were looked at, evenly among them")
@@ -193,13 +194,14 @@ def _place(texture: Path, mesh: Path | None) -> Place:
 
 
 def _read(place: Place, network: WholeFaceNetwork) -> Sample:
-    """A texture as the search takes it: black where it was filled."""
+    """A texture as the search takes it: of a fit, what its photographs show."""
     texture = read_exr(place.texture, finite=True)
     if texture.ndim != 3:
         raise MapsError(place.texture, found="one channel", expected="R G B")
     shape: Mesh = read_mesh(place.mesh)
     if shape.uvs is None:
         raise MapsError(place.mesh, field="uv", found="none", expected="the texture's coordinates")
+    known = None
     if place.confidence is not None:
         known = read_map(place.confidence, "confidence")
         if known.shape[:2] != texture.shape[:2]:
@@ -208,8 +210,8 @@ def _read(place: Place, network: WholeFaceNetwork) -> Sample:
                 found=f"{known.shape[0]} x {known.shape[1]} texels",
                 expected=f"{texture.shape[0]} x {texture.shape[1]}, as {place.texture.name}",
             )
-        texture = texture * (known.reshape(*texture.shape[:2], 1) > 0)
-    return sample_of(network, texture, shape, (place.texture, place.mesh))
+        known = known.reshape(texture.shape[:2]) > 0
+    return sample_of(network, texture, shape, (place.texture, place.mesh), known)
 
 
 def _config(path: Path | None, seconds: float | None, steps: int | None) -> DomainConfig:

@@ -54,13 +54,24 @@ def sample_of(
     texture: np.ndarray,
     mesh: Mesh,
     named: tuple[str | Path, str | Path],
+    known: np.ndarray | None = None,
 ) -> Sample:
-    """Ask the network of a texture, black where nothing is known.
+    """Ask the network of a texture.
+
+    Args:
+        network: in evaluation mode.
+        texture: (rows, columns, 3) linear.
+        mesh: with the texture's UV.
+        named: the texture's and the mesh's names in errors.
+        known: (rows, columns) bool, what a fit took from its photographs; all that is not black
+            where None. A fit's rows are in order, of which half a face may look like anything.
 
     Raises:
         MapsError: see `infer_whole_face`.
     """
-    looked = look(network, texture, mesh, None, named)
+    if known is not None:
+        texture = texture * known[..., None]
+    looked = look(network, texture, mesh, None, named, network_sees=known)
     pose = looked.head_from_mesh
     head = mesh.with_vertices(mesh.vertices @ pose[:, :3].T + pose[:, 3])
     return Sample(str(named[0]), looked.answer, head, rasterise(head, *looked.answer.seen.shape))

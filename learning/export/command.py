@@ -22,7 +22,7 @@ from learning.export.source import Source, read_source
 from learning.export.usd import require_usd, write_usd
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
-from lightstage.formats.files import atomic_folder, write_text
+from lightstage.formats.files import atomic_folder, require_replaceable, write_text
 from lightstage.formats.processed import ProcessedFolder
 from processing.dataset import read_head_pose
 
@@ -89,6 +89,7 @@ def export_command(
             expected="a new folder",
             hint="Choose another --out, or remove that one first.",
         )
+    require_replaceable(out, README)
     if compare is not None and "page" not in chosen:
         raise ConfigError("--compare", found="without page in --format", expected="page")
     source = read_source(maps, mesh, template)

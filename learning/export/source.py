@@ -9,7 +9,12 @@ import cv2
 import numpy as np
 
 from learning.errors import MapsError
-from learning.map_checks import require_albedo, require_millimetres
+from learning.map_checks import (
+    compared_texels,
+    require_albedo,
+    require_millimetres,
+    require_same_surface,
+)
 from learning.map_folders import MARK, require_texture_maps
 from lightstage.formats.exr import read_half_exr
 from lightstage.formats.mesh import Mesh, read_mesh, vertex_normals
@@ -20,12 +25,6 @@ from processing.atlas.tangents import TangentFrames, tangent_frames, to_tangent_
 
 NEEDED = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")
 OPTIONAL = ("roughness", "ambient_occlusion", "confidence")
-FARTHEST_MM = 5.0
-"""Median distance at which a map of positions is another head's or another template's."""
-FARTHEST_DEG = 60.0
-"""Median angle to the mesh's normals at which maps are another template's, or in other axes."""
-CHECKED = 20_000
-"""Texels that are compared with the mesh."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,7 +133,9 @@ def read_source(given: Path, mesh: Path | None = None, template: Path | None = N
     if not (raster.face >= 0).any():
         raise MapsError(place, field="uv", found="no texel covered", expected="UV in 0..1")
     normals = vertex_normals(shape.vertices, triangles)
-    _require_same(shape, normals, raster, maps, folder, place)
+    texels = compared_texels(raster.face >= 0)
+    place_mm, normal = (raster.at(each, triangles, texels) for each in (shape.vertices, normals))
+    require_same_surface(maps, texels, place_mm, normal, folder, place)
     notes = []
     if "roughness" not in maps and template is not None:
         shininess = load_template(template).maps.get("shininess")
@@ -168,7 +169,7 @@ def _require_shape(mesh: Mesh, where: Path) -> None:
             found=f"UV from {mesh.uvs.min():.3g} to {mesh.uvs.max():.3g}",
             expected="one tile, 0..1",
         )
-    require_millimetres(mesh, str(where))
+    require_millimetres(mesh, where)
 
 
 def _read_maps(folder: Path) -> dict[str, np.ndarray]:
@@ -196,49 +197,6 @@ def _read_maps(folder: Path) -> dict[str, np.ndarray]:
             require_albedo(image, path)
         maps[name] = image
     return maps
-
-
-def _require_same(
-    mesh: Mesh,
-    normals: np.ndarray,
-    raster: Raster,
-    maps: dict[str, np.ndarray],
-    folder: Path,
-    where: Path,
-) -> None:
-    """Refuse maps that were made on another mesh, by the texels that both have."""
-    texels = np.flatnonzero(raster.face.ravel() >= 0)
-    texels = texels[:: max(1, len(texels) // CHECKED)]
-    triangles = mesh.triangles()
-    hint = "Give the mesh that the maps were made on, or the maps of this one."
-    if "position" in maps:
-        stored = maps["position"].reshape(-1, 3)[texels].astype(np.float64)
-        here = raster.at(mesh.vertices, triangles, texels)
-        known = (stored != 0).any(axis=1)
-        off = np.linalg.norm(stored - here, axis=1)[known]
-        if off.size and np.median(off) > FARTHEST_MM:
-            raise MapsError(
-                folder / "position.exr",
-                found=f"positions {np.median(off):.0f} mm from {where}, in the median",
-                expected=f"the mesh's own, within {FARTHEST_MM:g} mm",
-                hint=hint,
-            )
-    there = raster.at(normals, triangles, texels)
-    for name in ("diffuse_normal", "specular_normal"):
-        stored = maps[name].reshape(-1, 3)[texels].astype(np.float64)
-        length = np.linalg.norm(stored, axis=1)
-        known = length > 1e-3
-        if not known.any():
-            continue
-        cosine = np.einsum("kc,kc->k", stored, there)[known] / length[known]
-        off_deg = float(np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))))
-        if off_deg > FARTHEST_DEG:
-            raise MapsError(
-                folder / f"{name}.exr",
-                found=f"normals {off_deg:.0f} degrees from those of {where}, in the median",
-                expected=f"at most {FARTHEST_DEG:g}: maps of the mesh's own template, in its axes",
-                hint=hint,
-            )
 
 
 def nearest_covered(covered: np.ndarray) -> np.ndarray:

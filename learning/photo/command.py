@@ -35,7 +35,12 @@ from lightstage.faces.schemes import FACE_MESH, IBUG, IBUG_PAIRS, ibug68, seen_p
 from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.environment import write_lights
 from lightstage.formats.exr import write_exr
-from lightstage.formats.files import atomic_folder, read_json, write_json
+from lightstage.formats.files import (
+    atomic_folder,
+    read_json,
+    require_replaceable,
+    write_json,
+)
 from lightstage.formats.landmarks import read_points_px
 from lightstage.formats.mesh import write_obj
 from lightstage.formats.processed import write_map
@@ -88,6 +93,7 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
     """
     began = time.monotonic()
     config = _config(request)
+    require_replaceable(request.out, FIT)
     network = whole_face_of(request.checkpoint)
     template = load_template(request.template)
     photographs, places, notes = read_all(request, template)

@@ -45,14 +45,18 @@ class OcclusionConfig:
 class OcclusionTable:
     """Baked pictures of visibility, and interpolation between them."""
 
-    def __init__(self, bits: np.ndarray, covered: np.ndarray) -> None:
+    def __init__(
+        self, bits: np.ndarray, covered: np.ndarray, face: np.ndarray | None = None
+    ) -> None:
         """A table.
 
         Args:
             bits: (d, ceil(t / 8)) uint8, packed visibility under `even_directions(d)`.
             covered: (rows, columns) bool, the t texels that show a surface.
+            face: (rows, columns) int32 triangle that each texel shows, -1 for none, by which
+                another UV is noticed; None where it is not known.
         """
-        self.bits, self.covered = bits, covered
+        self.bits, self.covered, self.face = bits, covered, face
         self.directions = even_directions(len(bits))
         self.triangles = ConvexHull(self.directions).simplices
         corners = self.directions[self.triangles].transpose(0, 2, 1)
@@ -102,7 +106,10 @@ class OcclusionTable:
     def save(self, path: Path) -> Path:
         """Write as a compressed .npz; returns `path`."""
         with atomic_path(path) as beside, beside.open("wb") as file:
-            np.savez_compressed(file, bits=self.bits, covered=self.covered)
+            if self.face is None:
+                np.savez_compressed(file, bits=self.bits, covered=self.covered)
+            else:
+                np.savez_compressed(file, bits=self.bits, covered=self.covered, face=self.face)
         return path
 
 
@@ -117,6 +124,8 @@ def load_occlusion(path: Path) -> OcclusionTable:
     try:
         with np.load(path, allow_pickle=False) as file:
             bits, covered = file["bits"], file["covered"]
+            # Tables of before have none.
+            face = file["face"] if "face" in file.files else None
     except Exception as error:
         raise CheckpointError(path, found=str(error), expected="a table of occlusion") from None
     wide = -(-int(np.count_nonzero(covered)) // 8)
@@ -124,7 +133,11 @@ def load_occlusion(path: Path) -> OcclusionTable:
         raise CheckpointError(
             path, field="bits", found=str(bits.shape), expected=f"(directions, {wide}) uint8"
         )
-    return OcclusionTable(bits, covered)
+    if face is not None and (face.shape != covered.shape or face.dtype != np.int32):
+        raise CheckpointError(
+            path, field="face", found=str(face.shape), expected=f"{covered.shape} int32"
+        )
+    return OcclusionTable(bits, covered, face)
 
 
 def default_occlusion_path() -> Path:
@@ -144,7 +157,8 @@ def bake_table(
     """Bake the cast shadows of a mesh in its texture, in the head frame."""
     chosen = config or OcclusionConfig()
     seen, covered = bake_dome(mesh, chosen.rows, even_directions(chosen.directions), progress)
-    return OcclusionTable(np.packbits(seen > 0.5, axis=1), covered)
+    face = rasterise(mesh, *covered.shape).face
+    return OcclusionTable(np.packbits(seen > 0.5, axis=1), covered, face)
 
 
 def bake_dome(

@@ -15,6 +15,7 @@ from typer.exceptions import TyperException
 from lightstage.errors import LightstageError, StoppedError
 from lightstage.failures import explain
 from lightstage.formats.access import private_command
+from lightstage.formats.files import without_nan
 from lightstage.interrupts import ignore_signals, interrupted, raise_on_signals
 
 JsonFlag = typer.Option(
@@ -115,8 +116,8 @@ def _print_meaning(error: TyperException) -> None:
 
 
 def finish(text: str, facts: dict[str, Any], as_json: bool) -> None:
-    """End a command: one line of facts with units, or the same facts as JSON."""
-    print(json.dumps(facts) if as_json else text)
+    """End a command: one line of facts with units, or the same as JSON, null for NaN."""
+    print(json.dumps(without_nan(facts), allow_nan=False) if as_json else text)
 
 
 def _end_with(error: Exception, as_json: bool) -> None:

@@ -104,8 +104,18 @@ def require_replaceable(path: Path, marker: str, kind: str | None = None) -> Non
         kind: the `kind` that the marker, a JSON object, must have; None where its name is enough.
 
     Raises:
-        FormatError: `path` is a file, or a folder that holds something and is of another kind.
+        FormatError: `path` is a file, a folder that holds something and is of another kind, or the
+            working folder or one above it.
     """
+    working = _working_folder()
+    if working is not None and path.resolve() in (working, *working.parents):
+        # It is replaced as a whole, and whoever is in it would be left in a folder that is gone.
+        raise FormatError(
+            path,
+            found="the working folder, or one above it",
+            expected="another one, as a folder of results is replaced as a whole",
+            hint="Name a folder in this one, or call the command from elsewhere.",
+        )
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
     found = ""
@@ -126,6 +136,14 @@ def require_replaceable(path: Path, marker: str, kind: str | None = None) -> Non
             expected="a new folder, or one made by the same command",
             hint="Choose another output folder.",
         )
+
+
+def _working_folder() -> Path | None:
+    """Where this process was called; None where that folder is gone."""
+    try:
+        return Path.cwd().resolve()
+    except FileNotFoundError:
+        return None
 
 
 def require_new(path: Path, overwrite: bool, marker: str, kind: str | None = None) -> None:
@@ -163,10 +181,12 @@ def atomic_folder(path: Path, marker: str, kind: str | None = None) -> Iterator[
         kind: see `require_replaceable`.
 
     Raises:
-        FormatError: `path` is a file or a folder of another kind.
+        FormatError: see `require_replaceable`.
         DiskFullError: the disk filled up, whatever the writer raised for it.
     """
     require_replaceable(path, marker, kind)
+    # Of a link what it leads to is replaced, and the link stays.
+    path = path.resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{secrets.token_hex(NAME_BYTES)}")
     old = beside.with_name(beside.name + ".old")
@@ -230,7 +250,7 @@ def without_nan(value: Any) -> Any:
     """A value with null in place of each number that is not finite: JSON has none of these."""
     if isinstance(value, dict):
         return {key: without_nan(inner) for key, inner in value.items()}
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return [without_nan(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 

@@ -70,7 +70,12 @@ def require_panorama(radiance: np.ndarray, where: str | Path) -> None:
 
 
 def _read_hdr(path: Path) -> np.ndarray:
-    read = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    # OpenCV prints a line of its own on damage, beside the message below.
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        read = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    finally:
+        cv2.utils.logging.setLogLevel(level)
     if read is None or read.dtype != np.float32 or read.ndim != 3:
         raise FormatError(
             path,

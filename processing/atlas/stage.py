@@ -29,6 +29,8 @@ from processing.errors import AtlasError
 from processing.parallel import Behind, over_views
 
 NORMALS = ("diffuse_normal", "specular_normal")
+OWN = ("position", "view", "confidence", "coverage", "skin", "filled")
+"""Maps that are always written."""
 MOST_OVERLAP = 0.01
 AHEAD = 2
 """Views that are read, or maps that are written, while others are worked on."""
@@ -42,6 +44,8 @@ def atlas(
     progress: ProgressCallback = quiet,
 ) -> dict[str, Any]:
     """Merge the views' maps; writes atlas/NAME.exr for all map names, in world axes.
+
+    Maps that an earlier run wrote there and that are not wanted now are removed.
 
     Args:
         session: its rig's cameras.
@@ -143,6 +147,9 @@ def atlas(
                 write("tangent_normal", shape.tangent(own))
             progress(total - len(names) + number, total)
     written = ["tangent_normal"] if "specular_normal" in names else []
+    for name in MAPS.keys() - {*OWN, *names, *written}:
+        # Of an earlier run with other settings: of another mesh, or of other views.
+        folder.atlas_path(name).unlink(missing_ok=True)
     return {**facts, "maps": [*names, *written]}
 
 

@@ -52,7 +52,8 @@ def batch_command(
     workers: str = typer.Option(
         "auto",
         "--workers",
-        help="Workers of this machine: a number, or auto for as many as its memory holds.",
+        help="Workers of this machine: a number, or auto for as many as its memory holds; a "
+        "scheduler has its own.",
     ),
     consents: Path | None = ConsentsOption,
     scheduler: str | None = typer.Option(
@@ -61,16 +62,23 @@ def batch_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """Every session from photographs to the atlas; what is up to date is skipped."""
-    from lightstage.formats.config import make_config, read_toml
-    from processing.batch.config import BatchConfig
+    from lightstage.formats.config import read_toml
+    from processing.batch.config import take_batch
     from processing.pipeline import STAGES, config_of
 
     if until not in STAGES:
         raise ProcessingError("--until", found=repr(until), expected=", ".join(STAGES))
     count = wanted_workers(workers)
+    if count is not None and scheduler is not None:
+        raise ConfigError(
+            "--workers",
+            found="it beside --scheduler",
+            expected="one of the two",
+            hint="A scheduler's workers are started with `dask worker`.",
+        )
     values = {} if config is None else read_toml(config)
     where = config or "configuration"
-    settings = make_config(BatchConfig, values.pop("batch", {}), f"{where}, [batch]")
+    settings = take_batch(values, where)
     stages = config_of(values, where, atlas_rows)
     opened = _read(sessions)
     given = {str(s.root): (s.file.model_extra or {}).get("consent") for s in opened}

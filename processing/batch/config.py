@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
+from typing import Any
 
-from lightstage.formats.config import require_bounds
+from lightstage.formats.config import make_config, require_bounds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,3 +48,21 @@ class BatchConfig:
             "stands_out": (0.5, 100.0),
         }
         require_bounds(self, "[batch]", bounds)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Table:
+    batch: BatchConfig = dataclasses.field(default_factory=BatchConfig)
+
+
+def take_batch(values: dict[str, Any], where: str | Path) -> BatchConfig:
+    """Take the table [batch] out of a TOML file's values; the others are the stages'.
+
+    Args:
+        values: the file's tables by name.
+        where: what errors name.
+
+    Raises:
+        ConfigError: an unknown key, a value of another type or outside its bounds, no table.
+    """
+    return make_config(_Table, {"batch": values.pop("batch", {})}, where).batch

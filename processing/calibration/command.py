@@ -25,12 +25,15 @@ def calibrate_command(
 ) -> None:
     """Colours, flats and black level of every camera, and lamps, from photographed targets."""
     from lightstage.formats.config import make_config, read_toml
+    from processing.bounds import require_possible
     from processing.calibration.config import CalibrateConfig
     from processing.calibration.folder import read_source
     from processing.calibration.output import headline, make_calibration
 
     values = {} if config is None else read_toml(config)
-    settings = make_config(CalibrateConfig, values, "defaults" if config is None else config)
+    where = "defaults" if config is None else config
+    settings = make_config(CalibrateConfig, values, where)
+    require_possible(settings, where)
     source = read_source(lab)
     with progress_bar("calibrate") as progress:
         found = make_calibration(source, settings, out, progress)

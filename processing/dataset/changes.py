@@ -41,7 +41,12 @@ BESIDE = ".adding-"
 FOLDER_DIGITS = 16
 
 
-def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback = quiet) -> Path:
+def build_store(
+    processed: Sequence[Path],
+    out: Path,
+    progress: ProgressCallback = quiet,
+    consents: Path | None = None,
+) -> Path:
     """Gather the atlas maps of processed folders into one store.
 
     Every folder is read and checked before anything is reported; on an error nothing is left
@@ -52,11 +57,13 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
             and the id of the record of the person's consent where there is one).
         out: the store's folder; an older store there is replaced.
         progress: called after each folder.
+        consents: the lab's registry, where there is one: everybody must have agreed to research.
 
     Returns:
         `out`.
 
     Raises:
+        ConfigError: people who did not agree to research, before any map is read.
         FormatError, DatasetError: no folder, something that is no processed folder, a missing map,
             maps or atlases of different size, NaN, a missing or not rigid head_from_world, a folder
             given twice, a scan of the same files, a pseudonym of two people; all in one message.
@@ -68,6 +75,7 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
             expected="at least one",
             hint="Name folders that `lightstage-processing run` made, as P/*.",
         )
+    require_consents(consents, "research", _consents_of(processed))
     problems: list[LightstageError] = []
     entries: list[Entry] = []
     known: dict[str, ScanEntry] = {}
@@ -92,6 +100,22 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
                 shutil.copy(out / name, beside / name)
         write_entries(beside, entries)
     return out
+
+
+def _consents_of(processed: Sequence[Path]) -> dict[str, str | None]:
+    """Ids of consents by person, of captured people; what else is wrong is reported later."""
+    found: dict[str, str | None] = {}
+    for root in processed:
+        try:
+            report = read_json(root / "report.json")
+        except LightstageError:
+            continue
+        if isinstance(report, dict) and report.get("synthetic") is not True:
+            consent = report.get("consent")
+            found[f"{report.get('subject')} in {root}"] = (
+                consent if isinstance(consent, str) else None
+            )
+    return found
 
 
 def add_scan(store: Path, root: Path, consents: Path | None = None) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import json
 import os
 import re
 import shutil
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.errors import FormatError
 from lightstage.formats.files import read_json, sha256_file, write_json
 from lightstage.formats.lock import locked
 from lightstage.formats.processed import ProcessedFolder
@@ -140,9 +142,8 @@ def survey(
         elif kind == STORE:
             stores.append(path)
         elif kind == "checkpoint":
-            checkpoints.append(
-                (path, str(read_json(path / "checkpoint.json").get("data_fingerprint")))
-            )
+            fingerprint = _text(read_json(path / "checkpoint.json"), "data_fingerprint")
+            checkpoints.append((path, fingerprint or ""))
         if BATCH_LISTS[0] in names and _names(path / BATCH_LISTS[0], subject):
             for name in BATCH_LISTS:
                 if (path / name).exists():
@@ -184,7 +185,7 @@ def _kind(path: Path, names: Sequence[str]) -> str | None:
     if "session.json" in names or "journal.jsonl" in names:
         return "session"
     if DATASET in names:
-        kind = read_json(path / DATASET).get("kind")
+        kind = _text(read_json(path / DATASET), "kind")
         return kind if kind in (STORE, PUBLISHED) else None
     if "stages.json" in names or "report.json" in names:
         return "processed folder"
@@ -200,7 +201,15 @@ def _subject(path: Path, names: Sequence[str]) -> str | None:
         return next((_text(line, "subject") for line in lines if _text(line, "subject")), None)
     subject = None
     if "stages.json" in names:
-        subject = _text(read_json(path / "stages.json").get("made_from"), "subject")
+        value = read_json(path / "stages.json")
+        if not isinstance(value, dict):
+            raise FormatError(
+                path / "stages.json",
+                found=type(value).__name__,
+                expected="a JSON object that names whose the folder is",
+                hint="If the folder is nobody's, remove the file.",
+            )
+        subject = _text(value.get("made_from"), "subject")
     if subject is None and "report.json" in names:
         subject = _text(read_json(path / "report.json"), "subject")
     return subject
@@ -438,12 +447,21 @@ def what_is_left(
 
 def _recorded(session: Path) -> dict[Path, str]:
     """Hashes of a session's photographs as it has them: RAW files of all people are of one size."""
-    frames = read_json(session / "session.json").get("frames", [])
-    return {session / str(f["path"]): str(f["sha256"]) for f in frames if isinstance(f, dict)}
+    value = read_json(session / "session.json")
+    frames = value.get("frames") if isinstance(value, dict) else None
+    named = [(_text(f, "path"), _text(f, "sha256")) for f in frames or []]
+    return {session / path: digest for path, digest in named if path and digest}
 
 
 def _word(subject: str) -> re.Pattern[str]:
-    return re.compile(rf"(?<![\w-]){re.escape(subject)}(?![\w-])")
+    return re.compile(rf"(?<![\w-]){''.join(map(_letter, subject))}(?![\w-])")
+
+
+def _letter(letter: str) -> str:
+    """A pattern of a letter, also as JSON escapes it, ours too, where it is beyond ASCII."""
+    if letter.isascii():
+        return re.escape(letter)
+    return f"(?:{re.escape(letter)}|(?i:{re.escape(json.dumps(letter)[1:-1])}))"
 
 
 def _names(path: Path, subject: str) -> bool:

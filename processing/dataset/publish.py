@@ -53,7 +53,10 @@ PATCH_OF_ROWS = 6144
 LEAST_KEPT = 0.5
 """Share of the places that a patch's size must leave, or the size is refused."""
 AVERAGED = ("diffuse_albedo", "specular_albedo", "shape")
-DIRECTIONS = ("diffuse_normal", "specular_normal")
+BLUR = {"diffuse_normal": 2.0**-11, "specular_normal": 2.0**-11, "shape": 2.0**-14}
+"""Width of the random numbers that are added before a patch gets its own axes: a step of the stored
+half floats, and four of floats of 256 mm. Stored numbers are multiples of a step along the head's
+axes alone, and would reveal how those of a patch are turned."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -265,8 +268,12 @@ def read_patch(store: Store, place: Place, size: int) -> tuple[dict[str, np.ndar
     position = store.read(place.scan, "position", rows, columns).astype(float)
     mean = position[seen[:, :, 0]].mean(axis=0)
     patch["shape"] = (position - mean) * seen
-    for name in (*DIRECTIONS, "shape"):
-        patch[name] = patch[name] @ place.axes.T
+    # The same in every release: the mean of several would be without it.
+    rng = np.random.default_rng([int(store.scans[place.scan].sha256, 16), place.row, place.column])
+    for name, width in BLUR.items():
+        known = (patch[name] != 0).any(axis=2, keepdims=True)
+        blurred = patch[name] + known * rng.uniform(-width / 2, width / 2, patch[name].shape)
+        patch[name] = blurred @ place.axes.T
     maps = {name: turned(image, place).astype(np.float32) for name, image in patch.items()}
     return maps, turned(seen, place)[:, :, 0]
 

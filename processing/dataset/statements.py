@@ -73,7 +73,8 @@ def manipulation(facts: Mapping[str, Any]) -> str:
         f"no common grid, and none shows more than {facts['most_of_a_face']:.1%} of the measured "
         "skin of its face. "
         + ("Each was turned and mirrored at random, in axes of its own. " if turned else "")
-        + "The order is random."
+        + "Random numbers as small as their rounding were added to normals and shape. "
+        "The order is random."
     )
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.errors import FormatError
 from lightstage.formats.files import read_json, write_json
 from lightstage.formats.landmarks import read_points_mm
 from lightstage.formats.mesh import read_obj, read_ply
@@ -24,6 +25,7 @@ from processing.evaluation.texels import atlas_coverage, evaluate_maps, truth_in
 from processing.lighting.interface import ENTERED_SHARE
 from processing.pages import write_processed_report
 from processing.reconstruction.pictures import write_distance
+from processing.records import EVALUATION
 
 SCHEMA = "lightstage.evaluation/1"
 
@@ -94,8 +96,9 @@ def evaluate(
         samples = samples_of(
             _reader(found, camera, factor), _reader(true, camera), skin, str(out), camera
         )
+        # Skin of a view in which the result knows nothing counts too, as not covered.
+        skin_pixels += int(skin.sum())
         if samples:
-            skin_pixels += int(skin.sum())
             per_view[camera] = map_errors(samples, int(skin.sum()))
             for name, values in samples.items():
                 pooled.setdefault(name, []).append(values)
@@ -134,7 +137,7 @@ def evaluate(
         raise EvaluationError(
             out, found=f"nothing that {truth} also holds", expected="views, meshes or atlas"
         )
-    write_json(out / "evaluation.json", {"schema": SCHEMA, **facts})
+    write_json(out / EVALUATION, {"schema": SCHEMA, **facts})
     report = out / "report.json"
     if report.is_file():
         write_processed_report(out, read_json(report))
@@ -218,4 +221,7 @@ def _require_same_person(out: Path, truth: Path) -> None:
 
 def _report(folder: Path) -> dict[str, Any]:
     path = folder / "report.json"
-    return dict(read_json(path)) if path.is_file() else {}
+    value = read_json(path) if path.is_file() else {}
+    if not isinstance(value, dict):
+        raise FormatError(path, found=type(value).__name__, expected="a JSON object")
+    return value

@@ -110,13 +110,27 @@ def read_colmap(
         depths.append(inverse)
         costs.append(np.where(inverse > 0, READ_COST, 2.0).astype(np.float32))
     if not found:
-        raise FormatError(
-            folder,
-            found="no depth map",
-            expected=f"stereo/depth_maps/CAMERA{PICTURE}.geometric.bin",
-            hint="Write the workspace first (`reconstruct.colmap_to`), then let COLMAP match it.",
-        )
+        raise _no_map(folder)
     return depths, costs
+
+
+def require_maps(folder: Path) -> None:
+    """Refuse a folder without any depth map, before work is done that it would waste.
+
+    Raises:
+        FormatError: no folder, or no map in it.
+    """
+    if not any(folder.glob("stereo/depth_maps/*.bin")):
+        raise _no_map(folder)
+
+
+def _no_map(folder: Path) -> FormatError:
+    return FormatError(
+        folder,
+        found="no depth map" if folder.is_dir() else "no such folder",
+        expected=f"stereo/depth_maps/CAMERA{PICTURE}.geometric.bin",
+        hint="Write the workspace first (`reconstruct.colmap_to`), then let COLMAP match it.",
+    )
 
 
 def write_map(values: np.ndarray, path: Path) -> None:

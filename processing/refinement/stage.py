@@ -44,6 +44,7 @@ def refine(
         ProcessingError: a camera that sees nothing of the mesh.
     """
     folder = ProcessedFolder(out)
+    folder.detailed_mesh.unlink(missing_ok=True)  # that of an earlier run
     mesh = read_ply(folder.base_mesh)
     cameras = [session.rig.camera(camera_id) for camera_id in session.camera_ids()]
     lights = pattern_lights(session, read_frames(out, cameras[0].id).patterns)

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from lightstage.errors import FormatError
 from lightstage.faces import detect_faces
 from lightstage.faces.of_template import landmark_weights, template_landmarks
 from lightstage.faces.schemes import IBUG, seen_points
@@ -139,7 +140,13 @@ class CommandLandmarks:
                 raise self._failed(f"exit {done.returncode}: {last}")
             printed = Path(folder) / "landmarks.json"
             printed.write_text(done.stdout)
-            found = read_points_px(printed)
+            try:
+                found = read_points_px(printed)
+            except FormatError as error:  # its file is gone when the message is read
+                field = f"{error.field}: " if error.field else ""
+                raise self._failed(
+                    f"on standard output {field}{error.found} in place of {error.expected}"
+                ) from None
         unknown = sorted(set(found) - set(pictures))
         if unknown:
             raise self._failed(f"landmarks of {', '.join(unknown)}, which it was not given")

@@ -203,3 +203,25 @@ def test_a_light_opposite_to_the_camera_gives_no_gloss(mode: str, engine: str) -
     lights = dataclasses.replace(one_light((1000.0, 0, 0)), camera_mm=camera)
     options = ShadeOptions(mode=mode, engine=engine, subsurface_mm=0)
     assert float(shade(skin, lights, options).abs().max()) == 0.0
+
+
+def test_maps_of_another_mesh_are_refused(
+    person: ProcessedFolder, mesh: Mesh, tmp_path: Path
+) -> None:
+    assert mesh.uvs is not None
+    turned_over = dataclasses.replace(mesh, uvs=mesh.uvs * [1, -1] + [0, 1])
+    with pytest.raises(MapsError, match=r"position\.exr: found positions \d+ mm from flipped\.obj"):
+        load_head(person.root / "atlas", turned_over, mesh_named="flipped.obj")
+    folder = atlas_with(person, tmp_path / "a", "confidence", map_of(person, "confidence"))
+    (folder / "position.exr").unlink()
+    with pytest.raises(MapsError, match=r"diffuse_normal\.exr: found normals \d+ degrees from"):
+        load_head(folder, turned_over)
+    world = mesh.with_vertices(mesh.vertices @ np.diag([-1.0, 1.0, -1.0]))
+    with pytest.raises(MapsError, match="normals"):
+        load_head(folder, world)
+
+
+def test_a_mesh_in_metres_is_named(person: ProcessedFolder, mesh: Mesh) -> None:
+    small = mesh.with_vertices(mesh.vertices / 1000)
+    with pytest.raises(MapsError, match=r"^head\.obj, vertices: found a head of"):
+        load_head(person.root / "atlas", small, mesh_named=Path("head.obj"))

@@ -13,7 +13,7 @@ from learning.__main__ import main
 from lightstage.formats.environment import LightSet, read_lights, write_lights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
-from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.processed import ProcessedFolder, write_map
 from lightstage.rig import Rig, default_rig, save_rig
 
 TINY_TOML = """
@@ -207,6 +207,77 @@ def test_whole_faces_are_the_default_and_infer_keeps_a_textures_size(
     assert run(monkeypatch, *other, "--out", tmp_path / "other") == 2
     assert "mm from where the people trained on have them" in capsys.readouterr().err
     assert not (tmp_path / "other").exists()
+
+
+def test_infer_refuses_a_captures_atlas_and_replaces_maps_all_at_once(
+    strangers: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    captured = ProcessedFolder(shutil.copytree(strangers[0], tmp_path / "captured"))
+    atlas = captured.root / "atlas"
+    base = ["infer", "--mesh", captured.registered_mesh, "--refine", "0"]
+    base += ["--texture", captured.atlas_path("diffuse_albedo")]
+
+    def content(folder: Path) -> dict[str, bytes]:
+        return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    before = content(atlas)
+    assert run(monkeypatch, *base, "--out", atlas) == 2
+    assert "found a folder that holds ambient_occlusion.exr" in capsys.readouterr().err
+    assert content(atlas) == before
+    out = tmp_path / "maps"
+    assert run(monkeypatch, *base, "--out", out) == 0
+    first = content(out)
+    calls = []
+
+    def interrupted(*given: object) -> None:
+        calls.append(given)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        write_map(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("learning.commands.write_map", interrupted)
+    darker = write_exr(tmp_path / "darker.exr", 0.5 * read_exr(base[-1]))
+    assert run(monkeypatch, *base[:-1], darker, "--out", out) == 130
+    assert len(calls) == 3
+    assert content(out) == first
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["captured", "darker.exr", "maps"]
+
+
+def test_a_folder_that_is_another_commands_is_refused_before_any_work(
+    people: list[ProcessedFolder],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError("began to work")
+
+    taken = tmp_path / "taken"
+    taken.mkdir()
+    (taken / "thesis.txt").write_text("mine")
+    for where in ("learning.detail.command.read_source", "learning.photo.command.whole_face_of"):
+        monkeypatch.setattr(where, never)
+    for words in (("detail", people[0].root), ("fit", tmp_path / "photo.jpg")):
+        assert run(monkeypatch, *words, "--out", taken) == 2
+        assert "expected a new folder, or one made by the same command" in capsys.readouterr().err
+    assert [path.name for path in taken.iterdir()] == ["thesis.txt"]
+
+
+def test_a_light_set_beside_a_configuration_without_a_table_of_lights_is_refused(
+    scene: dict[str, Path],
+    store_path: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "lights.toml").write_text("lights = 3\n")
+    words = ["train", "--data", store_path, "--out", tmp_path / "run"]
+    words += ["--config", tmp_path / "lights.toml", "--environment", scene["environment"]]
+    assert run(monkeypatch, *words) == 2
+    assert "lights.toml, lights: found 3" in capsys.readouterr().err
 
 
 def test_bad_input_is_one_message_and_exit_2(

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from safetensors.torch import load_file
 
 from learning.augment import AugmentConfig
+from learning.checkpoint import load_tensors, read_checkpoint
 from learning.errors import TrainingError
 from learning.guard import Guard
 from learning.networks.whole_face import WholeFaceConfig
@@ -97,6 +98,40 @@ def test_a_training_that_goes_astray_stops_and_keeps_the_batch(
     kept = tmp_path / "run" / f"stopped-{at:07d}.safetensors"
     assert kept.name in str(caught.value)
     assert load_file(kept)["inputs"].mean() == at
+
+
+class Spoilt(Astray):
+    """A network whose weights are NaN from a step on, whose loss is finite."""
+
+    def __init__(self, spoilt_at: int) -> None:
+        super().__init__([1.0] * 20)
+        self.taken, self.spoilt_at = 0, spoilt_at
+
+    def step(self, number: int, done: float) -> dict[str, float]:
+        self.taken = number
+        return super().step(number, done)
+
+    def tensors(self) -> dict[str, dict[str, torch.Tensor]]:
+        value = math.nan if self.taken >= self.spoilt_at else float(self.taken)
+        weights = {"count": torch.tensor(3), "weight": torch.full((2,), value)}
+        return {"network": {"weight": torch.zeros(2)}, "training": weights}
+
+
+def test_weights_that_are_nan_never_replace_the_last_whole_checkpoint(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    about = {
+        "held_out": [],
+        "config": {},
+        "data_fingerprint": "",
+        "texture_rows": 96,
+        "metrics": {},
+    }
+    run = Run(out, WholeTrainConfig(save_seconds=0), about, 0, 0.0)
+    with pytest.raises(TrainingError, match=r"step 6: found NaN .* in training, weight, .* kept"):
+        run.steps(Spoilt(6), 20)
+    checkpoint = read_checkpoint(out)
+    assert checkpoint.step == 6
+    assert load_tensors(checkpoint, "training")["weight"].tolist() == [5.0, 5.0]
 
 
 def test_the_batch_that_is_kept_is_the_one_that_was_trained_on(store_path: Path) -> None:

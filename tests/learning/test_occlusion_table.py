@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from learning.errors import CheckpointError
+from learning.occlusion_run import occlusion_table_for
 from learning.render.occlusion_model import (
     OcclusionConfig,
     OcclusionTable,
@@ -16,6 +17,7 @@ from learning.render.occlusion_model import (
     load_occlusion,
 )
 from lightstage.formats.template import default_template_path, load_template
+from tests.learning.conftest import ball
 from tests.learning.scenes import screen
 
 
@@ -65,6 +67,13 @@ def test_saved_table_reads_back_and_a_damaged_one_is_refused(tmp_path: Path) -> 
     found = load_occlusion(table.save(tmp_path / "t.npz"))
     np.testing.assert_array_equal(found.bits, table.bits)
     np.testing.assert_array_equal(found.covered, table.covered)
+    assert found.face is not None
+    np.testing.assert_array_equal(found.face >= 0, table.covered)
+    before = OcclusionTable(table.bits, table.covered)  # as tables of before, without triangles
+    assert load_occlusion(before.save(tmp_path / "before.npz")).face is None
+    OcclusionTable(table.bits, table.covered, found.face[1:]).save(tmp_path / "face.npz")
+    with pytest.raises(CheckpointError, match="face"):
+        load_occlusion(tmp_path / "face.npz")
     with pytest.raises(CheckpointError, match="no such file"):
         load_occlusion(tmp_path / "none.npz")
     (tmp_path / "bad.npz").write_bytes(b"PK nothing")
@@ -84,3 +93,14 @@ def test_the_shipped_table_is_our_templates() -> None:
     assert np.abs(found[:, table.covered] - truth).mean() < 0.015
     big = table.for_lights(torch.from_numpy(toward).float(), (2 * rows, 2 * columns))
     assert big.shape == (3, 2 * rows, 2 * columns)
+
+
+def test_a_table_of_another_uv_is_refused(tmp_path: Path) -> None:
+    mesh = load_template(default_template_path()).mesh
+    assert occlusion_table_for(None, mesh) is default_occlusion()
+    other = bake_table(ball(), OcclusionConfig(rows=24, directions=20)).save(tmp_path / "ball.npz")
+    assert len(occlusion_table_for(other, ball()).bits) == 20
+    with pytest.raises(CheckpointError, match=r"ball\.npz, face: found \d+% of the texels"):
+        occlusion_table_for(other, mesh)
+    with pytest.raises(CheckpointError, match="--shadows baked"):
+        occlusion_table_for(None, ball())

@@ -9,12 +9,17 @@ import numpy as np
 import pytest
 
 from learning.__main__ import main
+from learning.commands import RenderRequest, _lit_head
 from learning.errors import MapsError
 from learning.map_folders import require_texture_maps
 from learning.relight import about_y, turned_camera
-from learning.render.occlusion_model import default_occlusion
+from learning.render.occlusion_model import OcclusionTable
+from learning.render.uv import rasterise
+from lightstage.commands import quiet
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.files import write_json
+from lightstage.formats.mesh import read_obj, write_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Rig, default_rig, save_rig
 
@@ -37,6 +42,14 @@ def panorama(path: Path) -> Path:
     picture[..., 2] = 0.3
     picture[6:10, 23:26] = [20, 0, 0]
     return write_exr(path, picture)
+
+
+def table_of(person: ProcessedFolder, folder: Path) -> Path:
+    """Random shadows: a ball's own are none."""
+    raster = rasterise(read_obj(person.registered_mesh), 24, 16)
+    size = (64, -(-int(raster.covered.sum()) // 8))
+    bits = np.random.default_rng(2).integers(0, 256, size, np.uint8)
+    return OcclusionTable(bits, raster.covered, raster.face).save(folder / "own.npz")
 
 
 def test_render_takes_a_picture_of_light_turns_it_and_goes_round_the_head(
@@ -64,12 +77,15 @@ def test_render_takes_a_picture_of_light_turns_it_and_goes_round_the_head(
     assert facts["lights"] == 12
     assert facts["notes"] == []
     assert redness(picture("left.exr", "--rotate", 180, *black)) < 0.7
-    table = picture("table.exr", "--shadows", "table", "--mode", "ggx", *black)
+    own = table_of(people[0], tmp_path)
+    table = picture("table.exr", "--shadows", f"table:{own}", "--mode", "ggx", *black)
     assert np.isfinite(table).all()
-    own = default_occlusion().save(tmp_path / "own.npz")
-    named = picture("named.exr", "--shadows", f"table:{own}", "--mode", "ggx", *black)
-    np.testing.assert_array_equal(named, table)
+    unshadowed = picture("none.exr", "--shadows", "none", "--mode", "ggx", *black)
+    assert 0.1 * unshadowed.sum() < table.sum() < 0.9 * unshadowed.sum()
     capsys.readouterr()
+    # Without a file it is our own template's, whose texture is another.
+    assert run(monkeypatch, *base, "--out", tmp_path / "x.exr", "--shadows", "table") == 2
+    assert "show the triangle of the head to render" in capsys.readouterr().err
     for wrong in ("table:", f"table:{tmp_path / 'none.npz'}", "table:own", "tables"):
         assert run(monkeypatch, *base, "--out", tmp_path / "x.exr", "--shadows", wrong) == 2
     assert "table:FILE" in capsys.readouterr().err
@@ -166,3 +182,41 @@ def test_render_of_a_processed_folder_names_which_maps_it_means(
     words = ("render", "--maps", people[0].root, "--out", tmp_path / "never.png")
     assert run(monkeypatch, *words, "--environment", panorama(tmp_path / "room.exr")) == 2
     assert "the texture of one person" in capsys.readouterr().err
+
+
+def test_a_table_of_shadows_takes_the_head_pose_that_is_beside_the_mesh(
+    people: list[ProcessedFolder], tmp_path: Path
+) -> None:
+    upright, turn = people[0], about_y(100.0)
+    # As `infer` leaves them: maps in a folder of their own, in the axes of a mesh that is turned.
+    maps = tmp_path / "inferred" / "maps"
+    maps.mkdir(parents=True)
+    for path in (upright.root / "atlas").iterdir():
+        image = read_exr(path)
+        write_exr(maps / path.name, image @ turn.T if image.ndim == 3 else image)
+    albedo = read_exr(upright.atlas_path("diffuse_albedo"))
+    write_exr(maps / "diffuse_albedo.exr", albedo)
+    person = ProcessedFolder(tmp_path / "person")
+    person.root.mkdir()
+    mesh = read_obj(upright.registered_mesh)
+    write_obj(mesh.with_vertices(mesh.vertices @ turn.T), person.registered_mesh)
+    back = np.column_stack([turn.T, np.zeros(3)])
+    write_json(person.head_pose, {"head_from_world": back.tolist()})
+    place = np.array([[700.0, 300.0, 500.0]])
+    table = f"table:{table_of(upright, tmp_path)}"
+
+    def seen(folder: Path, shape: Path, place_mm: np.ndarray) -> np.ndarray:
+        light = LightSet("one", place_mm, np.ones((1, 3)), np.zeros(3))
+        environment = write_lights(light, tmp_path / "e.json")
+        out = tmp_path / "never.exr"
+        request = RenderRequest(
+            folder, shape, environment, out, None, "cam0", None, "dielectric", 1, 0.0, table
+        )
+        found = _lit_head(request, quiet)[2]
+        assert found is not None
+        return found.numpy()
+
+    found = seen(maps, person.registered_mesh, place @ turn.T)
+    expected = seen(upright.root / "atlas", upright.registered_mesh, place)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    assert expected.std() > 0.1

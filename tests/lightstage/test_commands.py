@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lightstage.commands import progress_bar
+from lightstage.commands import finish, progress_bar
 from lightstage.errors import DeviceError, LightstageError, RigError, one_error
 from lightstage.formats.exr import write_exr
 
@@ -60,6 +60,14 @@ def test_a_command_ends_with_its_facts(texture, tmp_path):
     assert (done.returncode, done.stdout) == (0, "mean 2.0\n")
     done = run(texture, tmp_path / "out", "--json")
     assert json.loads(done.stdout) == {"mean": 2.0}
+
+
+def test_facts_are_json_where_a_number_is_none(capsys):
+    facts = {"db": {"low": float("nan"), "high": np.float64("inf")}, "rgb": (1.5, float("nan"))}
+    finish("told", facts, as_json=True)
+    stated = capsys.readouterr().out
+    found = json.loads(stated, parse_constant=lambda word: pytest.fail(f"{word} is no JSON"))
+    assert found == {"db": {"low": None, "high": None}, "rgb": [1.5, None]}
 
 
 def test_a_missing_argument_is_reported_with_what_it_is(tmp_path):

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+from pathlib import Path
 
 import pytest
 
@@ -78,6 +79,17 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
     assert os.listdir(tmp_path) == ["store"]
 
 
+def test_of_a_link_to_a_folder_the_folder_is_replaced_and_the_link_stays(tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "out").symlink_to(tmp_path / "disk")
+    for text in ("old", "new"):
+        with atomic_folder(tmp_path / "out", "mark.json") as beside:
+            (beside / "mark.json").write_text(text)
+    assert (tmp_path / "out").is_symlink()
+    assert (tmp_path / "disk" / "mark.json").read_text() == "new"
+    assert sorted(os.listdir(tmp_path)) == ["disk", "out"]
+
+
 def test_somebody_elses_folder_is_refused(tmp_path):
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "a.jpg").write_text("mine")
@@ -147,3 +159,17 @@ def test_a_minor_version_is_taken(tmp_path):
 def test_a_hash_is_of_the_bytes_on_disk(tmp_path):
     data = os.urandom(300_000)
     assert sha256_file(write_bytes(tmp_path / "a", data)) == hashlib.sha256(data).hexdigest()
+
+
+@pytest.mark.parametrize("name", [".", "..", "inner/..", "../../{}/here"])
+def test_the_working_folder_and_those_above_are_refused_as_they_would_vanish(
+    tmp_path, monkeypatch, name
+):
+    (tmp_path / "here" / "inner").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "here")
+    with (
+        pytest.raises(FormatError, match="found the working folder, or one above it"),
+        atomic_folder(Path(name.format(tmp_path.name)), "marker.json"),
+    ):
+        raise AssertionError("never here")
+    assert [path.name for path in tmp_path.rglob("*")] == ["here", "inner"]

@@ -172,6 +172,19 @@ def test_maps_not_asked_for_are_neither_read_nor_written(tmp_path):
         AtlasConfig(maps=("gloss",))
 
 
+def test_no_map_of_an_earlier_run_stays_beside_those_of_the_last(tmp_path):
+    session, out, template = capture(tmp_path)
+    for cam in session.rig.cameras:
+        out.write_view(cam.id, "roughness", np.full((cam.height_px, cam.width_px), 0.3))
+    atlas(session, out.root, template, AtlasConfig(rows=48))
+    before = {path.stem for path in (out.root / "atlas").iterdir()}
+    assert {"specular_albedo", "tangent_normal", "roughness"} <= before
+    atlas(session, out.root, template, AtlasConfig(rows=48, maps=("diffuse_albedo",)))
+    after = {path.stem for path in (out.root / "atlas").iterdir()}
+    own = {"position", "view", "confidence", "coverage", "filled", "skin"}
+    assert after == {"diffuse_albedo", *own}
+
+
 def test_the_heaviest_view_is_the_one_that_faces_the_texel(textured):
     out, _, _ = textured
     position, view = out.read_atlas("position"), out.read_atlas("view")

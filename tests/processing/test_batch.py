@@ -75,6 +75,15 @@ def command(run_command: Callable[..., Any]) -> Callable[..., Any]:
     return functools.partial(run_command, "processing", "batch")
 
 
+def test_workers_of_this_machine_beside_a_scheduler_are_refused(
+    sessions: list[Path], tmp_path: Path, command: Callable[..., Any]
+) -> None:
+    words = ["--workers", "2", "--scheduler", "tcp://127.0.0.1:1"]
+    done = command(*sessions, "--out", tmp_path / "out", *words)
+    assert (done.code, (tmp_path / "out").exists()) == (2, False)
+    assert "--workers: found it beside --scheduler" in done.err
+
+
 def test_a_worker_runs_one_stage_at_a_time_until_all_is_as_run_leaves_it(
     sessions: list[Path], tmp_path: Path
 ) -> None:

@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from lightstage.errors import FormatError
+from lightstage.errors import ConfigError, FormatError
 from lightstage.formats.environment import stage_lights
 from lightstage.formats.lights import MeasuredLights
 from lightstage.formats.orientation import OF_TIFF
-from lightstage.formats.session import Calibration, load_session, save_session
+from lightstage.formats.session import Calibration, Session, load_session, save_session
 from lightstage.session import read_calibration
 from processing.__main__ import app
 from processing.calibration.ball import rays_through, sphere_hits
+from processing.calibration.colour.all_cameras import check_grey
 from processing.calibration.colour.chart import chart_places_mm, find_chart
 from processing.calibration.colour.white import white_at
 from processing.calibration.config import CalibrateConfig
@@ -137,6 +138,30 @@ def test_colours_may_be_scaled_to_the_grey_ball(targets, found):
         ratio = correction.matrix / found.colours[name].matrix
         np.testing.assert_allclose(ratio, 0.2 / 0.18, rtol=0.005)
     assert "grey ball reads" in scaled.warnings[-1]
+
+
+def test_a_grey_ball_in_pictures_of_another_size_is_refused(targets, found):
+    pose = read_source(targets).poses["grey"][0]
+    rig = pose.session.rig
+    cameras = tuple(dataclasses.replace(c, width_px=c.width_px + 8) for c in rig.cameras)
+    wider = dataclasses.replace(rig, cameras=cameras)
+    session = Session(pose.session.root, pose.session.file, wider)
+    other = dataclasses.replace(pose, session=session)
+    shone = lights_of(other, found.full_levels, found.lights)
+    with pytest.raises(FormatError, match=r"grey-00/cam\d\.dng: found \d+ x \d+ pixels, expected"):
+        check_grey(other, found.colours, found.flats, shone, CalibrateConfig().grey)
+
+
+def test_a_reflectance_in_per_cent_is_refused(targets, tmp_path):
+    config = tmp_path / "c.toml"
+    config.write_text("[grey]\nreflectance = 18\nsets_the_scale = true\n")
+    out = tmp_path / "out"
+    done = CliRunner().invoke(
+        app, ["calibrate", str(targets), "--out", str(out), "--config", str(config)]
+    )
+    assert isinstance(done.exception, ConfigError)
+    assert "grey.reflectance: found 18.0, expected from 0.01 to 1" in str(done.exception)
+    assert not out.exists()
 
 
 def test_the_command_writes_a_folder_that_a_session_can_carry(targets, found, tmp_path):

@@ -104,6 +104,14 @@ def test_black_and_hot_pixels_are_found_and_what_flashed_once_is_not():
     assert facts["noise"] == pytest.approx(1e-4, rel=0.1)
 
 
+@pytest.mark.parametrize("crop", [slice(0, 318), slice(2, None)])
+def test_darks_of_another_size_than_the_camera_are_refused(crop):
+    """Their hot pixels would be mended at other places."""
+    cropped = [mosaic(dark(k).level[crop]) for k in range(3)]
+    with pytest.raises(ProcessingError, match=r"dark, cam0: found 480 x 318 .* expected 480 x 320"):
+        read_darks(cropped, FlatField.even(CAMERA), FlatConfig(), "dark, cam0")
+
+
 def test_light_in_a_dark_is_refused():
     with pytest.raises(ProcessingError, match="lens caps"):
         read_darks([mosaic(card())], FlatField.even(CAMERA), FlatConfig(), "dark, cam0")

@@ -62,6 +62,24 @@ def test_batch_asks_for_every_session(registry: Path, tmp_path: Path, run_comman
     assert not (tmp_path / "out").exists()
 
 
+def test_build_asks_before_a_map_is_read_and_leaves_the_old_store(
+    registry: Path, tmp_path: Path, make_processed: Made, run_command: Made
+) -> None:
+    people = [
+        make_processed(tmp_path / name, subject=name, seed=i, consent=consent)
+        for i, (name, consent) in enumerate((("p1", "C-0001"), ("p2", "C-0002"), ("p3", None)))
+    ]
+    store = build_store(people[:1], tmp_path / "store")
+    before = (store / "dataset.json").read_bytes()
+    (people[0] / "atlas" / "position.exr").write_bytes(b"")
+    words = ["dataset", "build", *people, "--out", store, "--overwrite", "--consents", registry]
+    ended = run_command("processing", *words)
+    refused(ended, f"purpose research: found C-0001 (p1 in {people[0]}) covers commercial")
+    assert f"C-0002 (p2 in {people[1]}) was withdrawn on 2020-01-01" in ended.err
+    assert f"p3 in {people[2]} carries no id" in ended.err
+    assert (store / "dataset.json").read_bytes() == before
+
+
 def test_add_publish_and_train_ask_too(
     registry: Path,
     tmp_path: Path,

@@ -7,12 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightstage.formats.mesh import Mesh, edge_counts, read_ply, vertex_normals
+from lightstage.formats.mesh import Mesh, edge_counts, read_ply, vertex_normals, write_ply
 from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.session import load_session
 from lightstage.rig import Camera, Rig, default_rig
+from processing.decode.config import DecodeConfig
+from processing.decode.stage import decode
 from processing.displacement import curved_middles
 from processing.refinement.config import RefineConfig
 from processing.refinement.detail import (
@@ -23,8 +27,9 @@ from processing.refinement.detail import (
     slopes_beyond,
     small_part,
 )
-from processing.refinement.stage import write_detailed
+from processing.refinement.stage import refine, write_detailed
 from processing.splitting import split
+from tests.processing.lit_ball import Ball, small_rig, write_session
 
 CELL_MM = 1.5
 WAVE_MM, HEIGHT_MM = 2.0, 0.05
@@ -112,6 +117,20 @@ def test_without_a_word_from_the_views_nothing_moves() -> None:
         found = displaced(sheet(), views, edge_mm=0.4, below_mm=3.0)
         assert not found.known.any()
         assert not found.height_mm.any()
+
+
+def test_a_detailed_mesh_does_not_outlive_the_run_that_it_is_of(tmp_path: Path) -> None:
+    ball = Ball(coated=True)
+    session = load_session(write_session(ball, small_rig(1, 0.015), tmp_path / "session"))
+    folder = ProcessedFolder(tmp_path / "out")
+    decode(session, folder.root, DecodeConfig())
+    shape = trimesh.creation.icosphere(3, ball.radius_mm)
+    mesh = Mesh(shape.vertices, np.asarray(shape.faces, np.int32))
+    write_ply(mesh, folder.base_mesh)
+    write_ply(mesh, folder.detailed_mesh)
+    refine(session, folder.root, RefineConfig(finest_mm=6.0, choice_pixels=0, gloss_rounds=0))
+    assert folder.view_path("cam0", "specular_normal").is_file()
+    assert not folder.detailed_mesh.exists()
 
 
 def test_a_surface_behind_another_shows_nothing() -> None:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lightstage.errors import LightstageError
+from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.files import write_json
 from lightstage.formats.landmarks import write_points_mm
 from lightstage.formats.mesh import Mesh, read_ply, write_obj, write_ply
@@ -182,6 +182,29 @@ def test_only_confident_pixels_of_true_skin_count_and_the_share_is_reported(
     views = run(out, truth)["views"]
     assert views["coverage_share"] == pytest.approx(0.75)
     assert views["diffuse_albedo_rmse"] == 0.0
+
+
+def test_skin_of_a_view_in_which_nothing_is_known_counts_as_not_covered(
+    folders: tuple[ProcessedFolder, ProcessedFolder],
+) -> None:
+    out, truth = folders
+    for name, image in paint(*texels()).items():
+        for folder in folders:
+            folder.write_view("cam1", name, image)
+    truth.write_mask("cam1", np.ones((ROWS, COLUMNS), bool))
+    out.write_view("cam1", "confidence", np.zeros((ROWS, COLUMNS)))
+    facts = run(out, truth)
+    assert facts["views"]["coverage_share"] == pytest.approx(0.5)
+    assert facts["view"]["cam0"]["coverage_share"] == 1.0
+
+
+def test_a_report_that_is_no_object_is_named(
+    folders: tuple[ProcessedFolder, ProcessedFolder],
+) -> None:
+    out, truth = folders
+    (out.root / "report.json").write_text("[1]")
+    with pytest.raises(FormatError, match=r"report\.json: found list, expected a JSON object"):
+        run(out, truth)
 
 
 def test_a_mesh_of_another_radius_is_that_far_away(

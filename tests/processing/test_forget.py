@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from lightstage.errors import LightstageError
+from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.files import write_json
 from lightstage.formats.lock import locked
 from processing.dataset import PublishConfig, build_store, forget, open_store
@@ -135,6 +135,45 @@ def test_what_names_the_person_still_is_reported_and_exits_2(
     assert f"still there: {lab / 'notes.txt'}" in ended.out
     assert "others.txt" not in ended.out
     assert "1 file that still show or name" in ended.err
+
+
+@pytest.mark.parametrize("who", ["Żaneta7", "Ωmega-3.b"])
+def test_a_pseudonym_beyond_ascii_is_found_as_json_writes_it(lab: Path, who: str) -> None:
+    file = lab / "S" / "s1" / "session.json"
+    write_json(file, {**json.loads(file.read_text()), "subject": who})
+    write_json(lab / "batch.json", {"sessions": [{"subject": who}]})
+    write_json(lab / "table.json", {"who": f"{who}, glasses"})
+    write_json(lab / "other.json", {"who": f"{who}b, x{who}"})
+    found, left, _ = forget.forget(who, [lab], lab.parent / "proof")
+    assert found.removed["list of a batch"] == [str(lab / "batch.json")]
+    assert str(lab / "table.json") in left["by_pseudonym"]
+    assert str(lab / "other.json") not in left["by_pseudonym"]
+
+
+@pytest.mark.parametrize("name", ["dataset.json", "report.json", "checkpoint.json"])
+def test_a_file_of_another_program_with_one_of_our_names_is_passed_over(
+    lab: Path, tmp_path: Path, name: str
+) -> None:
+    (lab / "else").mkdir()
+    (lab / "else" / name).write_text("[1, 2]")
+    found, left, _ = forget.forget(WHO, [lab], tmp_path / "proof")
+    assert not found.empty
+    assert not any(left.values())
+
+
+def test_a_session_whose_file_is_damaged_does_not_stop_the_search_for_what_is_left(
+    lab: Path, tmp_path: Path
+) -> None:
+    (lab / "S" / "s0" / "session.json").write_text("[1, 2]")
+    _, left, proof = forget.forget(WHO, [lab], tmp_path / "proof")
+    assert proof.is_file()
+    assert not any(left.values())
+
+
+def test_a_processed_folder_whose_person_cannot_be_read_is_named(lab: Path) -> None:
+    (lab / "P" / "p0" / "stages.json").write_text("[1, 2]")
+    with pytest.raises(FormatError, match=r"p0/stages\.json: found list, expected a JSON object"):
+        forget.survey(WHO, [lab], hashed=False)
 
 
 def test_an_interrupted_call_goes_on(

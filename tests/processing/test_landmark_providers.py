@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lightstage.errors import FormatError, LightstageError
+from lightstage.errors import FormatError
 from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.template import Template, default_template_path, load_template
@@ -75,15 +75,17 @@ def test_a_program_sees_every_picture_and_prints_landmarks(tmp_path):
     ("body", "message"),
     [
         ("sys.exit('no face model')\n", "no face model"),
-        ("print('hello')\n", "JSON"),
+        ("print('hello')\n", "standard output Expecting value"),
         (prints({"schema": "lightstage.landmarks/1", "scheme": "x", "points_px": {}}), "scheme"),
         (prints(landmarks(cam0=[[1, 2]] * 67)), "68"),
         (prints(landmarks(cam7=[None] * 68)), "cam7"),
     ],
 )
 def test_programs_that_fail_are_named(tmp_path, body, message):
-    with pytest.raises(LightstageError, match=message):
+    with pytest.raises(RegistrationError, match=message) as caught:
         program(tmp_path, body).find(PICTURES)
+    assert caught.value.where.startswith("landmark command")
+    assert "landmarks.json:" not in str(caught.value)
 
 
 def test_a_program_that_is_not_there_or_never_ends_is_named(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import sha256_file
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
+from processing import bounds
+from processing.calibration.config import CalibrateConfig
 from processing.errors import ProcessingError, RegistrationError
 from processing.frames.read import Frames, read_frames, write_frames
 from processing.masks import foreground
@@ -112,6 +115,33 @@ def test_a_second_run_does_nothing_and_a_changed_setting_reruns_its_stage(
     assert coarse(session, out, read_config(toml)) == ["separate"]
 
 
+def test_the_report_states_the_settings_that_each_stage_ran_with(
+    session: Path, tmp_path: Path
+) -> None:
+    out, toml = tmp_path / "out", tmp_path / "c.toml"
+    toml.write_text("[decode]\nclip_share = 0.9\n[separate]\nroughness = 0.3\n")
+    coarse(session, out, read_config(toml))
+    toml.write_text("[decode]\nclip_share = 0.9\n[separate]\nroughness = 0.4\n")
+    assert run(session, out, TEMPLATE, read_config(toml), until="decode")["ran"] == []
+    written = json.loads((out / "report.json").read_text())["config"]
+    assert set(written) == {"decode", "separate"}
+    assert written["decode"]["clip_share"] == 0.9
+    assert written["separate"]["roughness"] == 0.3
+
+
+def test_errors_against_truth_do_not_outlive_the_maps_that_they_are_of(
+    session: Path, tmp_path: Path
+) -> None:
+    out, toml = tmp_path / "out", tmp_path / "c.toml"
+    coarse(session, out)
+    (out / "evaluation.json").write_text("{}")
+    assert coarse(session, out) == []
+    assert (out / "evaluation.json").exists()
+    toml.write_text("[separate]\nroughness = 0.3\n")
+    assert coarse(session, out, read_config(toml)) == ["separate"]
+    assert not (out / "evaluation.json").exists()
+
+
 def test_a_changed_photograph_reruns_everything(session: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     coarse(session, out)
@@ -177,6 +207,46 @@ def test_missing_and_changed_photographs_exit_2_and_write_nothing(
     assert "2 problems" in done.err
 
 
+@pytest.mark.parametrize("sequence", [[], ["dark"]])
+def test_a_session_without_a_lit_photograph_exits_2_and_writes_nothing(
+    session: Path, tmp_path: Path, command: Callable[..., Any], sequence: list[str]
+) -> None:
+    file = session / "session.json"
+    value = json.loads(file.read_text())
+    frames = [{**f, "pattern": "dark"} for f in value["frames"] if f["pattern"] == "full"]
+    kept = {"sequence": sequence, "frames": frames if sequence else [], "patterns": {}}
+    file.write_text(json.dumps({**value, **kept}))
+    for stage in ("decode", "separate", "atlas"):
+        done = command("run", session, "--out", tmp_path / "out", "--until", stage)
+        assert done.code == 2
+        assert "session.json, sequence: found no pattern with light among " in done.err
+        assert "Traceback" not in done.err
+        assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[decode]\nmesh = "none.ply"', "none.ply: found no such file"),
+        ('[reconstruct]\ncolmap_from = "none"', "none: found no such folder, expected stereo/"),
+        ('[reconstruct]\ncolmap_from = "."', "found no depth map, expected stereo/depth_maps"),
+    ],
+)
+def test_files_that_a_configuration_names_are_found_before_any_stage_runs(
+    session: Path,
+    tmp_path: Path,
+    command: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    text: str,
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("c.toml").write_text(text)
+    done = command("run", session, "--out", "out", "--config", "c.toml", "--until", "reconstruct")
+    assert (done.code, Path("out").exists()) == (2, False)
+    assert message in done.err
+
+
 def test_unknown_keys_and_stages_exit_2(
     session: Path, tmp_path: Path, command: Callable[..., Any]
 ) -> None:
@@ -187,6 +257,65 @@ def test_unknown_keys_and_stages_exit_2(
     done = command("run", session, "--out", tmp_path / "out", "--until", "polish")
     assert done.code == 2
     assert "polish" in done.err
+
+
+def test_a_batchs_file_serves_run_too_and_its_table_is_checked(
+    session: Path, tmp_path: Path, command: Callable[..., Any]
+) -> None:
+    toml = tmp_path / "c.toml"
+    ask = functools.partial(
+        command, "run", session, "--out", tmp_path / "out", "--config", toml, "--why"
+    )
+    toml.write_text("[batch]\ntries = 2\n[separate]\nroughness = 0.3\n")
+    assert ask("--until", "separate").code == 0
+    for text, message in (
+        ("batch = 3", "c.toml, batch: found 3, expected"),
+        ("[batch]\ntris = 2", "[batch], tris: found an unknown key"),
+        ("[batch]\ntries = 0", "tries: found 0, expected from 1 to 100"),
+    ):
+        toml.write_text(text)
+        done = ask()
+        assert done.code == 2
+        assert message in done.err
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[decode]\nclip_share = 99", r"decode\.clip_share: found 99\.0, expected from 0\.1 to 1"),
+        ("[decode.prepare]\nstill_px = -1.0", r"still_px: found -1\.0, expected 0 or more"),
+        ("[reconstruct]\npatch_stride_px = 0", r"patch_stride_px: found 0, expected from 1 to"),
+        ("[reconstruct]\niterations = [3, -2]", r"reconstruct\.iterations: found -2"),
+        ("[refine]\nscattering = []", r"refine\.scattering: found no value, expected at least one"),
+        ("[register.nonrigid]\nstiffness_mm = []", r"stiffness_mm: found no value"),
+        ("[atlas]\nlargest_gap_mm = 0", r"atlas\.largest_gap_mm: found 0\.0, expected 0\.001"),
+    ],
+)
+def test_settings_that_no_stage_can_work_with_are_refused_by_file_and_name(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    toml = tmp_path / "c.toml"
+    toml.write_text(text)
+    with pytest.raises(ConfigError, match=rf"c\.toml, .*{message}"):
+        read_config(toml)
+
+
+def test_the_defaults_are_possible_and_every_bound_is_of_a_setting() -> None:
+    names = set()
+    for config in (PipelineConfig(), CalibrateConfig()):
+        bounds.require_possible(config, "defaults")
+        names |= dict(bounds.all_settings(config)).keys()
+    assert bounds.BOUNDS.keys() <= names
+
+
+def test_a_batch_refuses_a_table_of_its_own_that_is_none(
+    session: Path, tmp_path: Path, command: Callable[..., Any]
+) -> None:
+    toml = tmp_path / "c.toml"
+    toml.write_text("batch = 3")
+    done = command("batch", session, "--out", tmp_path / "out", "--config", toml)
+    assert (done.code, (tmp_path / "out").exists()) == (2, False)
+    assert "batch: found 3" in done.err
 
 
 def test_a_stage_without_those_before_it_states_what_to_run(session: Path, tmp_path: Path) -> None:
@@ -206,6 +335,15 @@ def test_separate_alone_decodes_first_and_prints_facts(
     assert report["consent"] is None
     assert report["stages"]["separate"]["seconds"] >= 0
     assert report["stages"]["separate"]["peak_rss_mb"] > 10
+
+
+def test_separate_alone_decodes_again_what_was_removed(session: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    coarse(session, out)
+    again = functools.partial(run, session, out, TEMPLATE, PipelineConfig(), only="separate")
+    assert again()["ran"] == ["separate"]
+    shutil.rmtree(out / "work")
+    assert again()["ran"] == ["decode", "separate"]
 
 
 def test_the_report_carries_the_id_of_the_sessions_consent_record(

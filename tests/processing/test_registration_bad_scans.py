@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lightstage.formats.mesh import Mesh
+from lightstage.formats.mesh import Mesh, write_obj
 from processing.errors import RegistrationError
 from processing.registration.config import NonrigidConfig, RegisterConfig
 from processing.registration.stage import register_mesh
@@ -136,3 +136,26 @@ def test_parts_and_bodies_in_mm_have_no_other_units(factor):
     marks = TRUTH[TEMPLATE.landmarks]
     pose = first_pose(Target(both), marks, np.ones(len(marks), bool), TEMPLATE)
     assert 0.8 < pose.scale < 1.25
+
+
+def test_the_scan_is_not_replaced_by_what_is_registered_to_it(tmp_path, run_command):
+    write_obj(SCAN, tmp_path / "scan.obj")
+    before = (tmp_path / "scan.obj").read_bytes()
+    (tmp_path / "link.obj").symlink_to(tmp_path / "scan.obj")
+    for name in ("scan.obj", "link.obj"):
+        done = run_command(
+            "processing", "register-mesh", tmp_path / "scan.obj", "--out", tmp_path / name
+        )
+        assert done.code == 2
+        assert f"{name}, --out: found the scan itself, expected another file" in done.err
+        assert (tmp_path / "scan.obj").read_bytes() == before
+
+
+def test_landmarks_and_a_program_that_finds_them_are_not_given_together(tmp_path, run_command):
+    write_obj(SCAN, tmp_path / "scan.obj")
+    done = run_command(
+        *("processing", "register-mesh", tmp_path / "scan.obj", "--out", tmp_path / "out.obj"),
+        *("--landmarks", tmp_path / "none.json", "--landmark-command", "true"),
+    )
+    assert done.code == 2
+    assert "--landmark-command: found it beside --landmarks" in done.err

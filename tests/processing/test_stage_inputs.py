@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import subprocess
@@ -12,11 +13,13 @@ from typing import Any
 
 import pytest
 
+from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path
 from processing.pipeline import PipelineConfig, read_job, run, why
 from processing.reachable import ROOT, reachable_files
+from processing.reconstruction.config import ReconstructConfig
 from processing.records import CODE
-from processing.stage_inputs import STAGE_MODULES
+from processing.stage_inputs import STAGE_MODULES, stage_inputs
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball
 
@@ -43,6 +46,51 @@ def test_a_stage_reaches_its_own_code_and_not_that_of_later_stages() -> None:
     assert not folders["decode"] & later
     assert not folders["separate"] & (later - {"separation"})
     assert not folders["atlas"] & {"refinement", "dataset", "batch"}
+
+
+SHAPES_NO_RESULT = (
+    *("lightstage/__init__.py", "lightstage/commands/", "lightstage/errors.py"),
+    *("lightstage/failures.py", "lightstage/interrupts.py", "lightstage/raw_errors.py"),
+    *("lightstage/counting.py", "lightstage/printable.py", "lightstage/compiled.py"),
+)
+"""What stages import to begin, to end and to report: words, progress, signals."""
+
+
+@pytest.mark.parametrize("stage", STAGE_MODULES)
+def test_all_code_that_a_stages_results_depend_on_is_in_its_key(stage: str) -> None:
+    module = STAGE_MODULES[stage]
+    all_of_it = reachable_files(module, ("processing", "lightstage"))
+    beside = {str(path.relative_to(ROOT)) for path in all_of_it} - reached(module)
+    assert {name for name in beside if not name.startswith(SHAPES_NO_RESULT)} == set()
+
+
+def test_the_detector_the_cleaning_and_the_patterns_levels_are_in_the_keys() -> None:
+    assert "lightstage/faces/detect.py" in reached(STAGE_MODULES["register"])
+    assert "lightstage/meshlab.py" in reached(STAGE_MODULES["reconstruct"])
+    assert "lightstage/patterns/weights.py" in reached(STAGE_MODULES["decode"])
+
+
+def test_other_depth_maps_of_colmap_make_reconstruct_run_again(
+    session: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "workspace" / "stereo" / "depth_maps"
+    folder.mkdir(parents=True)
+    config = dataclasses.replace(
+        PipelineConfig(), reconstruct=ReconstructConfig(colmap_from=str(tmp_path / "workspace"))
+    )
+
+    def keys() -> dict[str, str]:
+        found = stage_inputs(load_session(session), config, "", {})
+        return {stage: found[stage].parts["files"] for stage in ("separate", "reconstruct")}
+
+    seen = [keys()]
+    for name, content in (("cam0", b"a"), ("cam0", b"b"), ("cam1", b"b")):
+        for path in folder.iterdir():
+            path.unlink()
+        (folder / f"{name}.pgm.geometric.bin").write_bytes(content)
+        seen.append(keys())
+    assert len({each["reconstruct"] for each in seen}) == 4
+    assert len({each["separate"] for each in seen}) == 1
 
 
 LOADED = """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -151,13 +152,17 @@ def check_grey(
         largest departure as a share.
 
     Raises:
+        FormatError: a photograph that cannot be read, or of another size than its camera's.
         ProcessingError: see `grey.ball_albedo`.
     """
     pictures = []
     for name in pose.session.camera_ids():
         if name not in corrections:
             continue
-        mosaic = flattened(read_mosaic(pose.photograph(name)), flats.get(name))
+        path = pose.photograph(name)
+        mosaic = read_mosaic(path)
+        _require_size(path, mosaic, pose.session.rig.camera(name))
+        mosaic = flattened(mosaic, flats.get(name))
         rgb = corrections[name].apply(mosaic.cells())
         made = corrections[name].exposure
         if made is not None and mosaic.exposure is not None:
@@ -195,10 +200,8 @@ def flattened(mosaic: Mosaic, field: FlatField | None) -> Mosaic:
     return dataclasses.replace(read, level=level).upright(mosaic.orientation)
 
 
-def _look(pose: Pose, camera: Camera, field: FlatField | None, chart: ChartConfig) -> Seen | None:
-    """The chart in one photograph; None where it is not seen, or too tilted."""
-    path = pose.photograph(camera.id)
-    mosaic = read_mosaic(path, chart.clip_share)
+def _require_size(path: Path, mosaic: Mosaic, camera: Camera) -> None:
+    """FormatError where a photograph is not of its camera's size."""
     height, width = mosaic.level.shape
     if (height, width) != (camera.height_px // 2 * 2, camera.width_px // 2 * 2):
         raise FormatError(
@@ -206,6 +209,13 @@ def _look(pose: Pose, camera: Camera, field: FlatField | None, chart: ChartConfi
             found=f"{width} x {height} pixels",
             expected=f"{camera.width_px} x {camera.height_px}, as {camera.id} has in rig.json",
         )
+
+
+def _look(pose: Pose, camera: Camera, field: FlatField | None, chart: ChartConfig) -> Seen | None:
+    """The chart in one photograph; None where it is not seen, or too tilted."""
+    path = pose.photograph(camera.id)
+    mosaic = read_mosaic(path, chart.clip_share)
+    _require_size(path, mosaic, camera)
     view = find_chart(flattened(mosaic, field).cells(), mosaic.clipped_cells())
     if view is None:
         return None

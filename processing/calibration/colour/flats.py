@@ -94,11 +94,18 @@ def read_darks(
     """The field with what darks show: black level beside the file's, and hot pixels.
 
     Raises:
-        ProcessingError: light in them, or photographs of unlike size.
+        ProcessingError: light in them, or photographs of another size than the field's.
     """
     darks = [dark.as_read() for dark in darks]
-    if len({dark.level.shape for dark in darks}) != 1:
-        raise ProcessingError(where, found="darks of unlike size", expected="one size")
+    width, height = (side // 2 * 2 for side in field.size_px)
+    for dark in darks:
+        rows, columns = dark.level.shape
+        if (rows, columns) != (height, width):
+            raise ProcessingError(
+                where,
+                found=f"{columns} x {rows} pixels as the sensor reads them",
+                expected=f"{width} x {height}, as rig.json and the flats have it",
+            )
     level = float(np.mean([dark.level.mean() for dark in darks]))
     lowest = np.min([dark.level for dark in darks], axis=0)
     places = [(i // 2, i % 2) for i in range(4)]

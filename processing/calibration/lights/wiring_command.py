@@ -41,12 +41,15 @@ def locate_lights_command(
     """Which lamp each wire lights, from a mirror ball photographed light after light."""
     from lightstage.formats.config import make_config, read_toml
     from lightstage.rig import load_rig, save_rig
+    from processing.bounds import require_possible
     from processing.calibration.config import CalibrateConfig
     from processing.calibration.folder import read_source
     from processing.calibration.lights.wiring_shots import locate_lights
 
     values = {} if config is None else read_toml(config)
-    settings = make_config(CalibrateConfig, values, "defaults" if config is None else config)
+    where = "defaults" if config is None else config
+    settings = make_config(CalibrateConfig, values, where)
+    require_possible(settings, where)
     own = None if rig is None else load_rig(rig)
     source = read_source(lab)
     with progress_bar("mirror ball") as progress:

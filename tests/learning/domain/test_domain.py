@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 
 from learning.domain import command
 from learning.domain.closed import Found, LitSurfaces, find_light
-from learning.domain.command import read_target_light
+from learning.domain.command import _read, places_of, read_target_light
 from learning.domain.descent import descend
 from learning.domain.sample import Sample, sample_of
 from learning.errors import MapsError
@@ -179,6 +180,26 @@ def test_domain_light_reads_fits_and_names_what_is_wrong(
         assert run(monkeypatch, "domain-light", *words, "--out", other) == 2
         assert said in capsys.readouterr().err, said
         assert not other.exists()
+
+
+def test_half_a_face_of_a_fit_is_not_taken_for_one_upside_down(
+    domain: Domain, network: WholeFaceNetwork, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def upside_down(*_: object) -> None:
+        raise MapsError("texture", found="a face upside down", expected="one that is not")
+
+    monkeypatch.setattr("learning.whole.infer.require_upright", upside_down)
+    fit = shutil.copytree(domain.folder / "person0", tmp_path / "fit")
+    with pytest.raises(MapsError, match="upside down"):
+        _read(places_of([fit], None)[0], network)
+    rows, columns = domain.textures[0].shape[:2]
+    known = np.zeros((rows, columns), np.float32)
+    known[:, : columns // 2 + 6] = 0.7
+    (fit / "atlas").mkdir()
+    write_exr(fit / "atlas" / "confidence.exr", known)
+    sample = _read(places_of([fit], None)[0], network)
+    assert sample.answer.seen[:, : columns // 2].any()
+    assert not sample.answer.seen[:, columns // 2 + 8 :].any()
 
 
 def test_an_unlit_texture_has_no_light_to_find(domain: Domain, network: WholeFaceNetwork) -> None:

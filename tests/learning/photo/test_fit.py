@@ -272,6 +272,8 @@ def test_a_captured_heads_maps_are_an_avatar_without_a_fit(
         ([*line, captured.registered_mesh], "found both"),
         ([word for word in line if word not in ("--maps", root)], "found neither"),
         ([*line, "--until", "fit"], "detail or export"),
+        ([*line, "--rows", "768", "--face", "2"], "--face, --rows: found given with --maps"),
+        ([*line, "--landmarks", tmp_path / "none.json"], "--landmarks: found given with --maps"),
     ):
         assert run(monkeypatch, *words) == 2
         assert message in capsys.readouterr().err

@@ -1,0 +1,100 @@
+"""Settings that no stage and no calibration can work with, refused before any work begins."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from lightstage.errors import ConfigError, LightstageError, one_error
+from lightstage.formats.config import MOST
+
+SOME = 1e-3
+"""The least of what is divided by."""
+BOUNDS: Mapping[str, tuple[float, float]] = {
+    "decode.clip_share": (0.1, 1),
+    "decode.foreground_share": (1e-6, 0.9),
+    "decode.prepare.cells_per_mm": (0.01, 100),
+    "separate.iterations": (1, 1000),
+    "separate.roughness": (0.01, 1),
+    "separate.specular_prior": (0, 1),
+    "separate.kampouris.most_specular": (0, 1),
+    "separate.ratios.specular": (0, 1),
+    "separate.polarised.roughness": (0.01, 1),
+    "separate.linear.roughness": (0.01, 1),
+    "reconstruct.finest_rows": (16, MOST),
+    "reconstruct.coarsest_rows": (16, MOST),
+    "reconstruct.depth_reach_mm": (1, MOST),
+    "reconstruct.source_views": (1, MOST),
+    "reconstruct.patch_radius_px": (1, 64),
+    "reconstruct.finest_patch_radius_px": (1, 64),
+    "reconstruct.patch_stride_px": (1, 64),
+    "reconstruct.min_cosine": (0, 1),
+    "reconstruct.graze_cosine": (0, 1),
+    "reconstruct.min_angle_deg": (0, 180),
+    "reconstruct.max_angle_deg": (0, 180),
+    "reconstruct.iterations": (0, 100),
+    "reconstruct.cell_mm": (0.05, MOST),
+    "reconstruct.splits": (0, 4),
+    "refine.most_faces": (100, MOST),
+    "refine.finest_mm": (0.05, MOST),
+    "refine.occlusion_directions": (1, MOST),
+    "refine.scattering": (0, 0.99),
+    "refine.roughness": (0.01, 1),
+    "register.modes.landmark_sigma_mm": (SOME, MOST),
+    "register.modes.landmark_robust_mm": (SOME, MOST),
+    "register.modes.surface_sigma_mm": (SOME, MOST),
+    "register.nonrigid.stiffness_mm": (0.05, MOST),
+    "register.nonrigid.iterations": (1, 1000),
+    "register.nonrigid.plate.iterations": (1, 100_000),
+    "atlas.largest_gap_mm": (SOME, MOST),
+    "atlas.blend.weights.feather_mm": (SOME, MOST),
+    "atlas.blend.weights.least_cos": (0, 1),
+    "chart.max_tilt_deg": (0, 90),
+    "chart.clip_share": (0.1, 1),
+    "flat.grid_px": (2, MOST),
+    "flat.min_level": (0, 1),
+    "grey.radius_mm": (1, MOST),
+    "grey.reflectance": (0.01, 1),
+    "grey.facing": (0, 1),
+    "grey.lit_share": (0, 1),
+}
+"""Least and largest value of a setting, also of each of several; of all others 0 and `MOST`."""
+
+
+def require_possible(config: Any, where: str | Path) -> None:
+    """Refuse numbers outside their bounds, and an empty list of numbers; all in one message.
+
+    Args:
+        config: of all stages, or of `calibrate`: a dataclass with one for each.
+        where: what errors name, such as the TOML file.
+
+    Raises:
+        ConfigError: settings that no stage can work with.
+    """
+    problems: list[LightstageError] = []
+    for name, value in all_settings(config):
+        values = value if isinstance(value, tuple) else (value,)
+        least, most = BOUNDS.get(name, (0.0, MOST))
+        if not values and name in BOUNDS:
+            problems.append(
+                ConfigError(where, field=name, found="no value", expected="at least one")
+            )
+        numbers = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool)]
+        wrong = [number for number in numbers if not least <= number <= most]  # NaN is in none
+        if wrong:
+            expected = f"{least:g} or more" if most == MOST else f"from {least:g} to {most:g}"
+            problems.append(ConfigError(where, field=name, found=repr(wrong[0]), expected=expected))
+    if problems:
+        raise one_error(problems)
+
+
+def all_settings(config: Any, above: str = "") -> Iterator[tuple[str, Any]]:
+    """Every setting below a dataclass, by its name with dots."""
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from all_settings(value, f"{above}{field.name}.")
+        else:
+            yield above + field.name, value
