@@ -37,7 +37,7 @@ from lightstage.formats.files import read_json
 from lightstage.formats.mesh import Mesh, read_obj
 from lightstage.formats.png import write_png
 from lightstage.formats.processed import ProcessedFolder
-from lightstage.formats.template import default_template_path
+from lightstage.formats.template import default_template_path, load_template
 from lightstage.rig import Camera
 from processing.colour import srgb_from_linear
 
@@ -135,8 +135,8 @@ def captured_row(out: Path) -> np.ndarray:
 
 
 def picture(maps: Path, mesh: Mesh, lights: LightSet, camera: Camera) -> np.ndarray:
-    """(h, w, 3) of maps on their mesh, with cast shadows."""
-    head = load_head(maps, mesh)
+    """(h, w, 3) of maps on their mesh, with cast shadows; eyes are as smooth as the template's."""
+    head = load_head(maps, mesh, load_template(default_template_path()))
     return render_head(head, lights, camera, GREY, seen=shadows_of(head, lights))[0]
 
 

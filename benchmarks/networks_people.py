@@ -56,12 +56,14 @@ class Who:
         name: of the head.
         person: seed and traits of a person of a model.
         folder: processed folder of a captured head.
+        expression: of a person of a model.
     """
 
     kind: str
     name: str
     person: Person | None = None
     folder: Path | None = None
+    expression: str = "neutral"
 
     @property
     def tone(self) -> int | None:
@@ -152,7 +154,7 @@ def make(who: Who, rows: int) -> Head:
         return _registered(who, *of_other_topology(who, SHARPER * rows), rows)
     assert who.person is not None
     seed, traits = who.person.seed, who.person.traits
-    return _own(who, parametric_subject(who.name, seed, "neutral", rows, traits))
+    return _own(who, parametric_subject(who.name, seed, who.expression, rows, traits))
 
 
 def of_other_topology(who: Who, rows: int) -> tuple[Subject, np.ndarray]:
@@ -170,7 +172,8 @@ def of_other_topology(who: Who, rows: int) -> tuple[Subject, np.ndarray]:
     path = ict_folder()
     assert path is not None
     assert who.person is not None
-    subject = ict_subject(who.name, path, who.person.seed, "neutral", rows, who.person.traits)
+    person = who.person
+    subject = ict_subject(who.name, path, person.seed, who.expression, rows, person.traits)
     parts = parts_of(load_ict(path)).triangle_parts()
     return subject, np.flatnonzero(np.isin(parts, (*SKIN_PARTS, LEFT_EYE, RIGHT_EYE)))
 

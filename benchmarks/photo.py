@@ -5,7 +5,7 @@ people of ICT's model, the scanned head) under lights of the simulator, finds th
 them, by their landmarks alone and by their pixels too. The error of a shape is the mean distance of
 corresponding vertices of the face after the best similarity; ICT's people and the scan correspond
 as far as their registration does. Along the normal no correspondence is needed. ``--texture`` holds
-one photograph against three as one texture.
+one photograph against three as one texture, ``--expression smile`` has people of models smile.
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import vertex_normals
 from lightstage.formats.template import Template, default_template_path, load_template
 from processing.colour import srgb_from_linear
+from sim.head.modes import EXPRESSIONS
 
 LIGHTS = ("front", "warm-cool", "hard-oblique", "hard-side")
 YAWS_DEG = (0, 30)
@@ -54,6 +55,7 @@ FACE_MM, FACING = 80.0, 0.3
 """The face that is scored: within this of the nose's tip, and its normals forward by so much."""
 NUMBER = 3
 """Of the lights' draw."""
+NEUTRAL = "neutral"
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -135,7 +137,6 @@ def measure(
     normals = vertex_normals(truth, template.mesh.triangles())[face]
     network, _ = load_whole_face(shipped_weights())
     alone = dataclasses.replace(config, pixel_rounds=0)
-    pixels = dataclasses.replace(config, pixel_photographs=1)
 
     def off(vertices: np.ndarray) -> Off:
         beside = apart(vertices[face], truth[face])
@@ -158,14 +159,14 @@ def measure(
             if yaw == 0:
                 shapes.append(shape.neutral.vertices[face])
             began = time.perf_counter()
-            shape = fit_shape([shots[yaw]], template, places, pixels, model, network)
+            shape = fit_shape([shots[yaw]], template, places, config, model, network)
             scores.pixels_s.append(time.perf_counter() - began)
             scores.one_pixels.append(off(shape.meshes[0].vertices))
         if not lost:
             photographs = list(shots.values())
             shape = fit_shape(photographs, template, places, alone, model)
             scores.three_alone.append(off(shape.meshes[0].vertices))
-            shape = fit_shape(photographs, template, places, pixels, model, network)
+            shape = fit_shape(photographs, template, places, config, model, network)
             scores.three_pixels.append(off(shape.meshes[0].vertices))
         if whole and THREE_DEG[1] not in lost:
             began = time.perf_counter()
@@ -189,6 +190,9 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=384, help="of the texture")
     parser.add_argument("--scale", type=float, default=1.0, help="of the photographs' size")
     parser.add_argument("--unseen", action="store_true", help="the half of ICT's people kept apart")
+    parser.add_argument(
+        "--expression", default=NEUTRAL, choices=(NEUTRAL, *EXPRESSIONS), help="of all but the scan"
+    )
     parser.add_argument("--shape-alone", action="store_true", help="without light and texture")
     parser.add_argument("--texture", action="store_true", help="one against three photographs")
     arguments = parser.parse_args()
@@ -197,10 +201,13 @@ def main() -> None:
         write_texture(arguments, template)
         return
     rows = []
-    for kind in arguments.people.split(","):
+    kinds = [
+        k for k in arguments.people.split(",") if arguments.expression == NEUTRAL or k != "scan"
+    ]
+    for kind in kinds:
         scores = Scores()
         for who in chosen([kind], arguments.count, arguments.unseen):
-            head = make(who, arguments.rows)
+            head = make(dataclasses.replace(who, expression=arguments.expression), arguments.rows)
             measure(
                 head, template, arguments.rows, not arguments.shape_alone, arguments.scale, scores
             )
@@ -225,6 +232,8 @@ def main() -> None:
         print(table(header, rows))
         return
     title = "Heads from photographs" + (", the unseen half" if arguments.unseen else "")
+    if arguments.expression != NEUTRAL:
+        title += f", {arguments.expression}"
     note = (
         f"`python -m benchmarks.photo`: photographs of {WIDTH_PX} x {HEIGHT_PX} px, a face about "
         f"{round(200 * FOCAL_PX / DISTANCE_MM)} px high, yaw 0 and 30 degrees, focal length known, "

@@ -124,7 +124,6 @@ LIMITS: dict[str, tuple[float, float]] = {
     "fit.detail_share": (0, 1),
     "fit.rounds": (1, 5),
     "fit.pixel_rounds": (0, 20),
-    "fit.pixel_photographs": (1, 33),
     "fit.pixel_deviation": (1e-3, 10),
     "fit.pixel_alike_mm2": (1e-2, 1e6),
     "fit.albedo_deviation": (1e-4, 3),

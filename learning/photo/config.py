@@ -25,7 +25,8 @@ class FitConfig:
             the smallest first.
         free_length_mm: distances over which they are alike, for each of these sizes.
         asymmetry: standard deviation of what the two sides of a face do not share, of `free_mm`.
-        expression_spread: standard deviation of an expression's strength; 1 is its full one.
+        expression_spread: standard deviation of an expression's strength; 1 is its full one. Less
+            than none, such as eyes that are wider than open, has a third of it.
         refine_seconds: for the search of the light and the skin under it, at most.
         marks_share: part of what the photograph shows beside the skins that people have, some
             millimetres wide and more, that is taken for the person's own: moles, stubble, brows.
@@ -34,10 +35,9 @@ class FitConfig:
         rounds: of light, skin and mask in turns.
         pixel_rounds: of the shape from pixels and outlines after the landmarks; 0 for landmarks
             alone.
-        pixel_photographs: with fewer photographs the landmarks alone give the shape: from one,
-            pixels bring as many faces farther from the truth as nearer (docs/photo.md).
         pixel_deviation: standard deviation of a pixel's logarithm from that of the model.
-        pixel_alike_mm2: so much of the face errs as one.
+        pixel_alike_mm2: so much of the face errs as one. With less of both, people who are not
+            ours are found less well (docs/notes/photo.md).
         albedo_deviation: standard deviation of the albedo's logarithm, beside the mean person's
             pattern and the ways in which our people differ from it.
         outline_mm: standard deviation of an outline.
@@ -56,15 +56,14 @@ class FitConfig:
     free_mm: tuple[float, ...] = (1.0, 3.0)
     free_length_mm: tuple[float, ...] = (18.0, 40.0)
     asymmetry: float = 0.25
-    expression_spread: float = 0.25
+    expression_spread: float = 0.6
     refine_seconds: float = 20.0
     marks_share: float = 0.2
     detail_share: float = 0.75
     rounds: int = 2
     pixel_rounds: int = 3
-    pixel_photographs: int = 2
-    pixel_deviation: float = 0.12
-    pixel_alike_mm2: float = 15.0
+    pixel_deviation: float = 0.2
+    pixel_alike_mm2: float = 80.0
     albedo_deviation: float = 0.02
     outline_mm: float = 1.5
     super_resolution: bool = True

@@ -21,8 +21,10 @@ from lightstage.formats.template import Template
 
 PLACES = 2000
 """About 4 mm apart."""
-REGIONS = ("skin", "lips")
-"""Of a template; eyes, ears and hair are not compared."""
+REGIONS = ("skin",)
+"""Of a template; eyes, ears, hair and lips are not compared: behind open lips there are teeth."""
+BROWS = slice(17, 27)
+"""In iBUG's order. What is above is not compared, as hair or a hat often hides it."""
 RIM_MM = 130.0
 """Distance from the nose's tip within which an outline is the face's."""
 BESIDE_MM = 6.0
@@ -108,6 +110,9 @@ def face_places(
     shown = np.zeros(len(model.mean), bool)
     for name in REGIONS:
         shown[template.regions.get(name, np.zeros(0, int))] = True
+    shown &= (
+        template.mesh.vertices[:, 1] < template.mesh.vertices[template.landmarks[BROWS], 1].min()
+    )
     candidates = model.face & (normals[:, 2] > BACKWARD) & shown
     chosen = np.sort(spread_out(model.mean, np.flatnonzero(candidates), PLACES))
     place_of = np.full(len(model.mean), -1)

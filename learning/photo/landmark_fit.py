@@ -27,6 +27,8 @@ CUT_OFF = 3.0
 FIRST_FOCAL = 1.3
 """Focal length of an unknown camera, of the picture's longer side: between a phone's .75 and a
 portrait lens's 3, where most portraits are."""
+BACKWARD = 1 / 3
+"""Deviation of an expression of less than none, of that of one of more."""
 NEAREST_MM, FARTHEST_MM = 150.0, 20_000.0
 _PER_PHOTO = 7
 """Unknowns of a photograph before its expression: the logarithm of the focal length, a rotation
@@ -281,7 +283,10 @@ class Problem:
         mean, spread = self.focal[index]
         free = [(0.0, 1e6)] * 5
         depth = (0.0, 1e6)
-        expression = [(float(e), self.config.expression_spread) for e in at.expression[index]]
+        ahead = self.config.expression_spread
+        expression = [
+            (float(e), ahead if e > 0 else BACKWARD * ahead) for e in at.expression[index]
+        ]
         return [(float(at.log_focal[index] - mean), spread), *free, depth, *expression]
 
 

@@ -108,8 +108,7 @@ def fit_shape(
         config: what is known before.
         model: of the template, where it was made already.
         network: knows the albedo of the mean person and how others differ; without it, or where
-            the configuration has no rounds of pixels for so few photographs, landmarks alone give
-            the shape.
+            the configuration has no rounds of pixels, landmarks alone give the shape.
 
     Raises:
         MapsError: a photograph with too few landmarks, or none that agree with a face.
@@ -142,8 +141,7 @@ def fit_shape(
                 found="landmarks that fit no head",
                 expected="those of one face, in the scheme's order",
             )
-    from_pixels = config.pixel_rounds and len(photographs) >= config.pixel_photographs
-    if network is not None and from_pixels:
+    if network is not None and config.pixel_rounds:
         pictures = [photograph.rgb_linear for photograph in photographs]
         search = PixelFit(problem, model, template, network, pictures, config)
         at, covariance = search.run(at)

@@ -46,7 +46,15 @@ def around_eyes(template: Template, raster: UvRaster) -> np.ndarray:
     The network reads the light's strength from the whites of the eyes. A fitted shape has them some
     millimetres beside the person's, and highlights lie on them: without them the network is nearer.
     """
-    return _spread(_touched(_of_regions(template, ("eyes",)), raster), EYES_SPREAD)
+    return spread(_touched(_of_regions(template, ("eyes",)), raster), EYES_SPREAD)
+
+
+def hair_texels(template: Template, raster: UvRaster) -> np.ndarray | None:
+    """(rows, columns) bool, where most people have hair; None where a template names no `hair`."""
+    inside = _of_regions(template, ("hair",))
+    if not inside.any():
+        return None
+    return np.asarray(raster.interpolate(inside[:, None].astype(float))[..., 0] > 0.5)
 
 
 def _of_regions(template: Template, names: tuple[str, ...]) -> np.ndarray:
@@ -86,7 +94,7 @@ def no_skin(
     for part, most in parts:
         far |= _over_millimetres(part - np.median(part[seen]), seen) > most
     far &= seen & ~keep
-    return np.asarray(_spread(far, SPREAD) & ~keep)
+    return np.asarray(spread(far, SPREAD) & ~keep)
 
 
 def in_no_light(
@@ -126,7 +134,7 @@ def in_no_light(
         weight = 1 / (1 + (off / HALF_AT) ** 2) ** 2
     arriving[known] = off
     far = (_over_millimetres(arriving, known) > NOT_SKIN) & known & ~keep
-    return np.asarray(_spread(far, SPREAD) & ~keep)
+    return np.asarray(spread(far, SPREAD) & ~keep)
 
 
 def _over_millimetres(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -137,7 +145,7 @@ def _over_millimetres(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return np.abs(cv2.GaussianBlur(off, (0, 0), sigma) / around)
 
 
-def _spread(mask: np.ndarray, share: float) -> np.ndarray:
+def spread(mask: np.ndarray, share: float) -> np.ndarray:
     """A mask and what is around it, within so much of its rows."""
     reach = max(1, round(share * len(mask)))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))

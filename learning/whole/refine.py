@@ -21,7 +21,7 @@ from learning.mesostructure.evidence import Frame, frame_of, slope_of
 from learning.mesostructure.infer import TrainedMesostructure, find
 from learning.networks.whole_face import DARKEST, WholeFaceNetwork
 from learning.render.uv import UvRaster, rasterise
-from learning.whole.detail import enlarged
+from learning.whole.detail import blurred, enlarged
 from learning.whole.expected import log_deviation
 from learning.whole.gaps import sides_mirror, without_gaps
 from learning.whole.light import Light, LightFit, LitSurface
@@ -55,6 +55,10 @@ LARGEST_MISFIT = 1.7
 """Largest misfit of a light that explains a texture: our people's have 0.2 to 0.6, a scanned head's
 0.8 to 1.5 (refinement is nearer to the truth than the network under each of six lights), a wrong
 one's 2."""
+LEAST_HAIR = 0.01
+"""Share of the texels with hair that must be known, for all to get their colour."""
+HAIRLINE_SHARE = 1 / 96
+"""Standard deviation over which hair goes over into skin, of a texture's rows."""
 LARGEST_ROWS = 1536
 """Light is followed at so many rows at most, and enlarged for larger textures."""
 
@@ -71,11 +75,18 @@ class OwnShares:
         detail: of all that is finer.
         whole: (rows, columns) bool, texels that are the person's own as they are, such as eyes;
             none where None.
+        hair: (rows, columns) bool, texels that have hair on most people, and whose colour differs
+            between people more than the skins' does. What is lit of them is the person's own as
+            it is, and continued among them alone; None where they are like all others.
+        hidden: (rows, columns) bool, texels of which nothing is the skin's own, such as those under
+            a fringe; none where None.
     """
 
     marks: float = 0.6
     detail: float = 1.0
     whole: np.ndarray | None = None
+    hair: np.ndarray | None = None
+    hidden: np.ndarray | None = None
 
 
 OF_TRUE_SHAPES = OwnShares()
@@ -180,13 +191,19 @@ def refine(
     low_albedo[here] = skin.albedo(found.along)
     answer = dataclasses.replace(answer, specular=found.gloss * answer.specular)
     followed = _Followed(mesh, raster, light, fit, here, camera_mm)
-    unlit, known = followed.taken_out(texture, photographed, answer.specular, low_albedo)
+    unlit, known, lit = followed.taken_out(texture, photographed, answer.specular, low_albedo)
+    if own.hair is not None:
+        # Black hair is no shadow, and hair of another colour not out of place.
+        known = np.where(own.hair, lit, known)
     if own.whole is not None:
         # A dark iris is no shadow, and has its own colour in place of the mean person's.
         known |= own.whole & photographed
+    if own.hidden is not None:
+        known &= ~own.hidden
     normals = None
     if mesostructure is not None and len(texture) >= mesostructure.least_rows:
-        found_there = find(mesostructure, unlit, known, followed.slope(), followed.level)
+        skin_known = known if own.hair is None else known & ~own.hair
+        found_there = find(mesostructure, unlit, skin_known, followed.slope(), followed.level)
         unlit = np.clip(unlit * np.exp(-found_there.shading), DARKEST, 1.0)
         frame = followed.frame if followed.raster is raster else _frame(mesh, raster)
         tilts = (found_there.diffuse_tilt, found_there.specular_tilt)
@@ -286,8 +303,8 @@ class _Followed:
         photographed: np.ndarray,
         specular: np.ndarray,
         low_albedo: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """(rows, columns, 3) a texture over its light, and where that shows the skin.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(rows, columns, 3) a texture over its light, where that shows the skin, and where light.
 
         Args:
             texture: (rows, columns, 3) linear.
@@ -307,10 +324,11 @@ class _Followed:
         unlit = over_light(texture, irradiance, shine)
         skin = np.exp(enlarged(np.log(low_albedo), rows, columns))
         dark = in_the_dark(texture, photographed)
-        known &= photographed & matt(texture, shine) & ~dark
+        lit = known & photographed
+        known = lit & matt(texture, shine) & ~dark
         # The border of a shadow that the model does not have is an edge, too.
         edges |= cv2.resize(dark.astype(np.uint8), edges.shape[::-1]) > 0
-        return unlit, known & ~misplaced(unlit / skin, edges, known)
+        return unlit, known & ~misplaced(unlit / skin, edges, known), lit
 
     @functools.cached_property
     def frame(self) -> Frame:
@@ -352,16 +370,23 @@ def _with_marks(
         own: what of the texture is the skin's own.
     """
     base = enlarged(np.log(low_albedo), *known.shape)
-    beside = without_gaps(np.log(unlit) - base, known, covered, sides)
+    beside = np.log(unlit) - base
+    skin = known if own.hair is None else known & ~own.hair
+    filled = without_gaps(beside, skin, covered, sides)
     size = (low_albedo.shape[0], low_albedo.shape[1])
     share = _shrunk(covered.astype(np.float32), size)
-    coarse = _shrunk(beside, size) / np.maximum(share, LEAST_COVERED)[..., None]
+    coarse = _shrunk(filled, size) / np.maximum(share, LEAST_COVERED)[..., None]
     there = share > LEAST_COVERED
-    finer = beside - enlarged(coarse * there[..., None], *known.shape)
+    finer = filled - enlarged(coarse * there[..., None], *known.shape)
     marks = enlarged(own.marks * _marks(coarse, there), *known.shape)
     own_part = marks + own.detail * finer
     if own.whole is not None:
-        own_part = np.where(own.whole[..., None], beside, own_part)
+        own_part = np.where(own.whole[..., None], filled, own_part)
+    if own.hair is not None and (known & own.hair).sum() > LEAST_HAIR * own.hair.sum():
+        # Its own colour is continued: as a difference it would make skin beside it glow.
+        hair = without_gaps(np.log(unlit), known & own.hair, covered, sides) - base
+        part = blurred(own.hair.astype(np.float32), HAIRLINE_SHARE * len(known))[..., None]
+        own_part = part * hair + (1 - part) * own_part
     albedo: np.ndarray = np.exp(np.minimum(base + own_part, 0.0))
     return albedo
 

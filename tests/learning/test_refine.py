@@ -6,6 +6,7 @@ import dataclasses
 import functools
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -185,6 +186,49 @@ def test_shares_of_nothing_leave_the_skins_that_people_have_and_whole_texels_sta
     # With all of its detail the texture differs by what is coarse alone.
     all_detail = np.log(albedo(refine.OwnShares(0.0, 1.0)) / unlit)
     assert all_detail.std() < 0.5 * np.log(unlit / 0.3).std()
+
+
+def test_hair_keeps_its_colour_is_continued_in_hair_alone_and_goes_over_into_skin() -> None:
+    low = np.full((24, 16, 3), 0.2)
+    unlit = np.full((96, 64, 3), 0.2)
+    hair = np.zeros((96, 64), bool)
+    hair[:48] = True
+    unlit[:48] = 0.7, 0.5, 0.2
+    known = np.ones((96, 64), bool)
+    known[:24] = False
+    found = refine._with_marks(low, unlit, known, np.ones_like(known), False, blond(hair))
+    # Shown hair and hair that nothing shows have one colour, which skin below has not.
+    np.testing.assert_allclose(found[4:44, 8:56], np.broadcast_to(unlit[30, 30], (40, 48, 3)), 0.02)
+    np.testing.assert_allclose(found[56:90, 8:56], 0.2, rtol=0.05)
+    assert found[47, 30, 0] > found[48, 30, 0] > 0.25
+    # Where no hair is shown, it is the mean person's.
+    bare = refine._with_marks(low, unlit, known & ~hair, np.ones_like(known), False, blond(hair))
+    np.testing.assert_allclose(bare[:40, 8:56], 0.2, rtol=0.02)
+
+
+def blond(hair: np.ndarray) -> refine.OwnShares:
+    return refine.OwnShares(0.2, 0.75, hair=hair)
+
+
+def test_a_bald_head_is_skin_where_most_people_have_hair(people: list[ProcessedFolder]) -> None:
+    network, _ = load_whole_face(shipped_weights())
+    mesh, texture, true, skin = photographed(people[0])
+    hair = ~skin & (true.mean(axis=2) < 0.5 * np.median(true[skin].mean(axis=1)))
+    hair = cv2.erode(hair.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    assert hair.sum() > 500
+    skull = np.median(true[skin], axis=0)
+    ratio = np.where(hair[..., None], skull / np.maximum(true, 1e-3), 1)
+    bald = (ratio * texture).astype(np.float32)
+
+    def shade(own: refine.OwnShares) -> float:
+        found = infer_whole_face(
+            network, bald, mesh, refine_seconds=600, network_sees=~hair, own=own
+        )
+        albedo = found.maps["diffuse_albedo"]
+        return float(np.median(albedo[hair]) / np.median(albedo[skin]))
+
+    assert shade(refine.OwnShares(0.2, 0.75, hair=hair)) == pytest.approx(1, abs=0.2)
+    assert shade(refine.OwnShares(0.2, 0.75)) < 0.75
 
 
 def test_a_dark_iris_keeps_its_own_colour_where_eyes_are_taken_whole(

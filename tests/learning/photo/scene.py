@@ -14,7 +14,7 @@ from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera, look_at
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 360, 480, 1000.0
-SMALL = FitConfig(identity_modes=20, free_modes=20)
+SMALL = FitConfig(identity_modes=20, free_modes=20, pixel_rounds=0)
 """A fit of few unknowns."""
 KEY = LightSet(
     "key",

@@ -65,6 +65,22 @@ def test_slopes_are_those_of_differences(model: ShapeModel, places: Places) -> N
         )
 
 
+def test_an_expression_of_less_than_none_is_less_likely_than_one_of_more(
+    model: ShapeModel, places: Places
+) -> None:
+    """Eyes may be closed, but hardly be wider than open."""
+    there = model.at(places.triangles, places.weights)
+    points = seen(model.mean, places, 0.0).landmarks_px
+    problem = Problem(there, [Sighting(points, WIDTH_PX, HEIGHT_PX)], FitConfig())
+    here = problem.begin()
+    step = 0.3 * np.eye(problem.size)[-1]
+    more, less = (
+        sum((value / spread) ** 2 for value, spread in problem._priors(here.moved(sign * step), 0))
+        for sign in (1, -1)
+    )
+    assert less == pytest.approx(9 * more)
+
+
 def test_three_photographs_give_a_face_that_is_none_of_the_templates(
     model: ShapeModel, template: Template, places: Places
 ) -> None:

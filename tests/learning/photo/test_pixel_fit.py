@@ -221,7 +221,7 @@ def test_pixels_bring_a_person_outside_the_modes_nearer(
     shot: Shot, template: Template, places: Places, network: WholeFaceNetwork
 ) -> None:
     # Without the template's modes the person is none that the model was made of.
-    config = FitConfig(identity_modes=0, pixel_rounds=2, pixel_photographs=1)
+    config = FitConfig(identity_modes=0, pixel_rounds=2)
     model, photo = shape_model(template, config), photograph(shot)
     alone, found = (
         shape_of(photo, template, places, network, how, model)
@@ -234,6 +234,17 @@ def test_pixels_bring_a_person_outside_the_modes_nearer(
     # What the pixels tell makes the answer more certain.
     face = found.model.face
     assert found.deviation_mm[face].mean() < 0.9 * alone.deviation_mm[face].mean()
+
+
+def test_foreheads_that_hair_may_hide_and_lips_before_teeth_are_not_compared(
+    search: tuple[PixelFit, State], template: Template
+) -> None:
+    places, vertices = search[0].places, template.mesh.vertices
+    brows = vertices[template.landmarks[17:27], 1]
+    assert len(places.vertices) > 1000
+    assert vertices[places.vertices, 1].max() < brows.min()
+    assert not np.isin(places.vertices, template.regions["lips"]).any()
+    assert vertices[places.rim, 1].max() < brows.min()
 
 
 def test_a_hand_before_the_cheek_loses_its_weight(search: tuple[PixelFit, State]) -> None:
@@ -261,7 +272,7 @@ def test_a_photograph_that_shows_nothing_leaves_the_landmarks_shape(
 ) -> None:
     photo = photograph(shot)
     empty = dataclasses.replace(photo, rgb_linear=np.full_like(photo.rgb_linear, value))
-    config = dataclasses.replace(SMALL, pixel_rounds=1, pixel_photographs=1)
+    config = dataclasses.replace(SMALL, pixel_rounds=1)
     found = shape_of(empty, template, places, network, config, small)
     assert np.isfinite(found.meshes[0].vertices).all()
     assert np.isfinite(found.deviation_mm).all()

@@ -1,0 +1,87 @@
+"""Hair that hangs over the forehead: texels whose colour is the hair's above, and not the cheeks'.
+
+Blond or grey hair differs too little from the mean person's skin to be found by that difference.
+The person's own colours find it: where those of hair and cheeks are far apart, each texel of the
+forehead belongs to the nearer of the two by Fisher's linear discriminant [Fisher1936].
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from learning.photo.skin_mask import hair_texels
+from learning.render.uv import UvRaster
+from lightstage.formats.template import Template
+
+BROWS, EYES, MOUTH = slice(17, 27), slice(36, 48), slice(48, 68)
+"""In iBUG's order."""
+ASIDE_MM = 55.0
+"""Half of the width of the cheeks."""
+AHEAD_MM = 30.0
+"""Of the head's middle: what is behind is no forehead."""
+CLEAR_MM = 2.0, 8.0, 2.0
+"""Above the brows, below the eyes and above the mouth, what is no part of either."""
+DARKEST = 1e-3
+BLUR_SHARE = 1 / 192
+"""Standard deviation over which a colour is taken, of a texture's rows: some strands."""
+LEAST_APART = 0.3
+"""Difference of hair's and cheeks' median colours, in natural logarithms, from which they are
+distinct. A bald skull has .2 by what its light leaves, blond hair .4, dark hair on light skin 1 to
+2."""
+LEAST_DEVIATIONS = 4.0
+"""The same in standard deviations within hair and cheeks."""
+LEAST_TEXELS = 100
+NOISE = 0.05, 0.02, 0.02
+"""Standard deviations that each has in any case, so that even colours do not decide alone."""
+
+
+class Forehead:
+    """Where a template has hair, forehead and cheeks in its texture."""
+
+    def __init__(self, template: Template, raster: UvRaster) -> None:
+        place = raster.interpolate(template.mesh.vertices)
+        marks = template.mesh.vertices[template.landmarks]
+        brows, eyes, mouth = (marks[part, 1] for part in (BROWS, EYES, MOUTH))
+        above, ahead = place[..., 1], raster.covered & (place[..., 2] > AHEAD_MM)
+        hair = hair_texels(template, raster)
+        self.hair = np.zeros_like(ahead) if hair is None else hair
+        self.forehead = ahead & ~self.hair & (above > brows.max() + CLEAR_MM[0])
+        between = (above < eyes.min() - CLEAR_MM[1]) & (above > mouth.max() + CLEAR_MM[2])
+        self.cheeks = ahead & between & (np.abs(place[..., 0]) < ASIDE_MM)
+
+    def fringe(self, albedo: np.ndarray, seen: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """(rows, columns) bool, the forehead's texels that show hair which reaches to the scalp.
+
+        Args:
+            albedo: (rows, columns, 3) linear, the texture without its light.
+            seen: (rows, columns) bool.
+            other: (rows, columns) bool, what is known to be no skin.
+        """
+        none = np.zeros_like(seen)
+        hair, cheeks = self.hair & seen, self.cheeks & seen & ~other
+        if min(hair.sum(), cheeks.sum()) < LEAST_TEXELS:
+            return none
+        colour = _colour(albedo, seen)
+        middles = [np.median(colour[part], axis=0) for part in (hair, cheeks)]
+        apart = middles[0] - middles[1]
+        spread = 0.5 * sum(np.cov(colour[part].T) for part in (hair, cheeks)) + np.diag(NOISE) ** 2
+        across = np.linalg.solve(spread, apart)
+        distinct = np.linalg.norm(apart) > LEAST_APART and apart @ across > LEAST_DEVIATIONS**2
+        if not distinct:
+            return none
+        nearer = (colour - 0.5 * (middles[0] + middles[1])) @ across > 0
+        hanging = seen & ((self.forehead & (nearer | other)) | self.hair)
+        _, label = cv2.connectedComponents(hanging.astype(np.uint8))
+        return np.asarray(hanging & self.forehead & np.isin(label, np.unique(label[hair])))
+
+
+def _colour(albedo: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """(rows, columns, 3) logarithms of an albedo's mean, and of red and blue over green."""
+    weight, sigma = seen.astype(np.float32), BLUR_SHARE * len(seen)
+    log = np.log(np.clip(np.nan_to_num(albedo), DARKEST, 1))
+    log = np.where(seen[..., None], log, 0).astype(np.float32)
+    around = np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3)[..., None]
+    log = cv2.GaussianBlur(log, (0, 0), sigma) / around
+    green = log[..., 1]
+    return np.stack([log.mean(axis=2), log[..., 0] - green, log[..., 2] - green], axis=-1)
