@@ -182,12 +182,12 @@ RUNNABLE = {
     "decode": ("processing", "run", "{session}", "--until", "decode", "--out", "{new}"),
     "build": ("processing", "dataset", "build", "{processed}", "--out", "{new}"),
     "bake": (
-        "learning", "bake", "--maps", "{maps}", "--mesh", "{mesh}", "--environment", "{lights}",
-        "--out", "{new}.exr",
+        "learning", "bake", "--maps", "{mesh's maps}", "--mesh", "{mesh}",
+        "--environment", "{lights}", "--out", "{new}.exr",
     ),
     "render": (
-        "learning", "render", "--maps", "{maps}", "--mesh", "{mesh}", "--environment", "{lights}",
-        "--rig", "{small rig}", "--out", "{new}.png",
+        "learning", "render", "--maps", "{mesh's maps}", "--mesh", "{mesh}",
+        "--environment", "{lights}", "--rig", "{small rig}", "--out", "{new}.png",
     ),
     "occlusion": (
         "learning", "occlusion", "--rows", "24", "--directions", "8", "--out", "{new}.npz",

@@ -42,17 +42,17 @@ def test_what_shows_a_face_is_its_owners_alone_and_what_shows_nobody_follows_the
 
 
 def test_the_group_gets_what_it_has_of_the_maps(tmp_path, run_command, world):
-    words = ("learning", "bake", "--maps", world["maps"], "--mesh", world["mesh"])
+    words = ("learning", "bake", "--maps", world["mesh's maps"], "--mesh", world["mesh"])
     words += ("--environment", world["lights"])
-    before = stat.S_IMODE(world["maps"].stat().st_mode)
+    before = stat.S_IMODE(world["mesh's maps"].stat().st_mode)
     try:
         for folder, file in ((0o700, 0o600), (0o750, 0o640), (0o777, 0o660)):
-            world["maps"].chmod(folder)
+            world["mesh's maps"].chmod(folder)
             out = tmp_path / f"{folder:o}.exr"
             assert run_command(*words, "--out", out).code == 0
             assert stat.S_IMODE(out.stat().st_mode) == file
     finally:
-        world["maps"].chmod(before)
+        world["mesh's maps"].chmod(before)
 
 
 def test_a_command_that_was_refused_leaves_the_umask_as_it_was(run_command, tmp_path):

@@ -56,9 +56,11 @@ RIGHT: dict[str, dict[str, str]] = {
     "processing dataset forget": {"subject": "P9", "--in": "lab", "--out": NEW},
     "processing batch": {"sessions": "session", "--out": NEW, "--until": "decode"},
     "learning render": {
-        "--maps": "maps", "--environment": "lights", "--out": NEW, "--mesh": "mesh",
+        "--maps": "mesh's maps", "--environment": "lights", "--out": NEW, "--mesh": "mesh",
     },
-    "learning bake": {"--maps": "maps", "--mesh": "mesh", "--environment": "lights", "--out": NEW},
+    "learning bake": {
+        "--maps": "mesh's maps", "--mesh": "mesh", "--environment": "lights", "--out": NEW,
+    },
     "learning export": {"maps": "mesh's maps", "--mesh": "mesh", "--out": NEW},
     "learning occlusion": {"--out": NEW},
     "learning template-points": {"--template": "template", "--out": NEW},
