@@ -74,7 +74,7 @@ class Source:
 
         A texel without a normal shows the mesh's: (0, 0, 1).
         """
-        texels = np.flatnonzero(self.raster.face.ravel() >= 0)
+        texels = self.raster.texels()
         world = self.maps[name].reshape(-1, 3)[texels].astype(np.float32)
         found = to_tangent_space(
             world, self.raster, texels, self.mesh.triangles(), self.normals, self.frames
@@ -207,8 +207,8 @@ def _require_same(
     where: Path,
 ) -> None:
     """Refuse maps that were made on another mesh, by the texels that both have."""
-    texels = np.flatnonzero(raster.face.ravel() >= 0)
-    texels = texels[:: max(1, len(texels) // CHECKED)]
+    texels = raster.texels()
+    texels = np.ascontiguousarray(texels[:: max(1, len(texels) // CHECKED)])
     triangles = mesh.triangles()
     hint = "Give the mesh that the maps were made on, or the maps of this one."
     if "position" in maps:
