@@ -52,9 +52,10 @@ def require_millimetres(mesh: Mesh, where: str | Path) -> None:
 
 
 def compared_texels(covered: np.ndarray) -> np.ndarray:
-    """(k,) flat indices of some of the (rows, columns) covered texels, evenly over all of them."""
+    """(k,) int32 flat indices of some of the (rows, columns) covered texels, evenly over them."""
     texels = np.flatnonzero(covered.ravel())
-    return texels[:: max(1, len(texels) // CHECKED)]
+    # Loops over texels are compiled for this kind of array.
+    return np.ascontiguousarray(texels[:: max(1, len(texels) // CHECKED)], np.int32)
 
 
 def require_same_surface(

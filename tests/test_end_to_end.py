@@ -34,12 +34,13 @@ PATTERNS = ("full", "x+", "x-", "y+", "y-", "z+", "z-")
 
 
 def in_this_process(command: Sequence[str]) -> Measured:
-    """Stands for run_measured: processing and learning need not import their modules again.
+    """Stands for run_measured: the three large programs need not import their modules again.
 
-    All others stay processes, as `make demo` has all steps.
+    All others stay processes, as `make demo` has all steps; of the simulator's the session, whose
+    devices write to the terminal.
     """
     program, *words = command[2:]
-    if program not in ("processing", "learning"):
+    if program not in ("sim", "processing", "learning") or words[0] == "session":
         return run_measured(command)
     begun = time.perf_counter()
     with warnings.catch_warnings():

@@ -73,7 +73,7 @@ class Source:
 
         A texel without a normal shows the mesh's: (0, 0, 1).
         """
-        texels = np.flatnonzero(self.raster.face.ravel() >= 0)
+        texels = self.raster.texels()
         world = self.maps[name].reshape(-1, 3)[texels].astype(np.float32)
         found = to_tangent_space(
             world, self.raster, texels, self.mesh.triangles(), self.normals, self.frames

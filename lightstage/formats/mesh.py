@@ -145,7 +145,8 @@ def parse_obj(lines: list[str], path: Path) -> Mesh:
     return mesh
 
 
-_NUMBER, _INDEX = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?", r"\d{1,9}"
+NUMBER, INDEX = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", r"\d{1,9}"
+"""Patterns of `numbers_of`."""
 
 
 def _read_plain(lines: list[str]) -> Mesh | None:
@@ -162,10 +163,10 @@ def _read_plain(lines: list[str]) -> Mesh | None:
     if corners not in (3, 4):
         return None
     indices = 1 + faces[0].count("/") // corners
-    places = _numbers_of(vertices, " ".join(3 * [_NUMBER]), 3, float)
-    textures = _numbers_of(uvs, " ".join(2 * [_NUMBER]), 2, float)
-    corner = "/".join(indices * [_INDEX])
-    joins = _numbers_of(faces, " ".join(corners * [corner]), corners * indices, np.int64)
+    places = numbers_of(vertices, " ".join(3 * [NUMBER]), 3, float)
+    textures = numbers_of(uvs, " ".join(2 * [NUMBER]), 2, float)
+    corner = "/".join(indices * [INDEX])
+    joins = numbers_of(faces, " ".join(corners * [corner]), corners * indices, np.int64)
     if places is None or textures is None or joins is None or joins.min() < 1:
         return None
     by_corner = joins.reshape(-1, corners, indices).astype(np.int32) - 1
@@ -177,8 +178,18 @@ def _read_plain(lines: list[str]) -> Mesh | None:
     )
 
 
-def _numbers_of(lines: list[str], pattern: str, count: int, kind: type) -> np.ndarray | None:
-    """(n, count) numbers of n lines that are all as a pattern says; None where one is not."""
+def numbers_of(lines: list[str], pattern: str, count: int, kind: type) -> np.ndarray | None:
+    """Numbers of lines that are all as a pattern says, read at once.
+
+    Args:
+        lines: each with its end.
+        pattern: of a line without its end, of `NUMBER` and `INDEX`, spaces and slashes.
+        count: of a line's numbers.
+        kind: float or an integer type.
+
+    Returns:
+        (n, count); None where a line is not as the pattern says.
+    """
     if not lines:
         return np.zeros((0, count), kind)
     text = "".join(lines)

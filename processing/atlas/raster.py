@@ -25,8 +25,8 @@ class Raster:
     barycentric: np.ndarray
 
     def texels(self) -> np.ndarray:
-        """(k,) flat indices of the texels that show a triangle, in row order."""
-        return np.flatnonzero(self.face.ravel() >= 0)
+        """(k,) int32 flat indices of the texels that show a triangle, in row order."""
+        return np.flatnonzero(self.face.ravel() >= 0).astype(np.int32)
 
     def at(
         self, values: np.ndarray, triangles: np.ndarray, texels: np.ndarray | None = None

@@ -69,6 +69,13 @@ class Frames:
         return cls(tuple(patterns), half, scale, whole(shape), shape, clipped)
 
     @property
+    def bits(self) -> np.ndarray:
+        """(P, h, w, 3) uint16 bits of `half`, read-only as a file's: loops are compiled once."""
+        bits = np.asarray(self.half).view(np.uint16)
+        bits.flags.writeable = False
+        return bits
+
+    @property
     def valid(self) -> np.ndarray:
         """(H, W) bool of the whole picture: in the window, nothing clipped, all finite."""
         return self.window.placed(np.asarray(self.clipped) == 0, self.shape)
@@ -109,9 +116,8 @@ class Frames:
         wanted = self.patterns if patterns is None else patterns
         rows = np.array([self.patterns.index(name) for name in wanted], np.int64)
         out = np.zeros((int(first[-1]), len(rows), 3), np.float32)
-        bits = np.asarray(self.half).view(np.uint16)
         scale, corner = np.float32(self.scale), (self.window.top, self.window.left)
-        _gather(bits, rows, np.ascontiguousarray(mask), first, corner, scale, out)
+        _gather(self.bits, rows, np.ascontiguousarray(mask), first, corner, scale, out)
         return out
 
 

@@ -283,7 +283,7 @@ def far_field(lights: PatternLights) -> np.ndarray:
     directions = lights.position_mm / lights.radius_mm[:, None]
     above = (octahedral_normals() @ directions.T > 0).astype(float)  # (cells, L)
     vectors = np.einsum("cl,pl,lk->cpk", above, lights.strength, directions, optimize=True)
-    return _as_seen(lights, octahedral_normals(), vectors)
+    return np.ascontiguousarray(_as_seen(lights, octahedral_normals(), vectors))
 
 
 def _as_seen(lights: PatternLights, normals: np.ndarray, vectors: np.ndarray) -> np.ndarray:

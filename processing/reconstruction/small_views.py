@@ -68,9 +68,9 @@ def small_view(
     images = np.zeros((len(chosen), height, width, 3), np.float32)
     count = np.zeros((height, width), np.int32)
     corner = (frames.window.top, frames.window.left)
-    bits = np.asarray(frames.half).view(np.uint16)
-    clipped = np.asarray(frames.clipped)
-    _means(bits, chosen, clipped, corner, times, np.float32(frames.scale), images, count)
+    clipped = np.asarray(frames.clipped).view()
+    clipped.flags.writeable = False  # as a file's: the loop is compiled once
+    _means(frames.bits, chosen, clipped, corner, times, np.float32(frames.scale), images, count)
     valid = 2 * count >= times * times
     images[:, ~valid] = 0
     inside = np.zeros((height, width), bool)

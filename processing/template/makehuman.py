@@ -21,7 +21,7 @@ import numpy as np
 
 from lightstage.counting import counted
 from lightstage.errors import FormatError
-from lightstage.formats.mesh import Mesh, parse_obj
+from lightstage.formats.mesh import INDEX, NUMBER, Mesh, numbers_of, parse_obj
 from lightstage.formats.values import read_regular
 
 BASE = "3dobjs/base.obj"
@@ -266,7 +266,12 @@ def _target(files: _Files, name: str) -> np.ndarray:
         except (OSError, EOFError, zlib.error) as error:
             raise _damaged(where, error) from None
     out = np.zeros((VERTICES, 3))
-    for number, line in enumerate(data.decode("latin-1").splitlines(), 1):
+    lines = data.decode("latin-1").splitlines(keepends=True)
+    rows = numbers_of([line for line in lines if not line.startswith(("#", "\n"))], _ROW, 4, float)
+    if rows is not None and (rows[:, 0] < VERTICES).all() and np.isfinite(rows).all():
+        np.add.at(out, rows[:, 0].astype(int), rows[:, 1:])
+        return out
+    for number, line in enumerate(lines, 1):
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
@@ -281,6 +286,10 @@ def _target(files: _Files, name: str) -> np.ndarray:
             )
         out[row[0]] += row[1]
     return out
+
+
+_ROW = " ".join([INDEX, NUMBER, NUMBER, NUMBER])
+"""A target's line as MakeHuman writes it; lines of any other form are read one by one."""
 
 
 def _row(words: list[str]) -> tuple[int, list[float]] | None:

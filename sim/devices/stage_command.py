@@ -16,6 +16,8 @@ from lightstage.commands import output_file, output_folder, progress_bar
 from sim.errors import SimError
 
 POLL_S = 0.2
+LEAST_ROWS = 96
+"""Of a person's textures."""
 RESUME = "  To resume: "
 SCALE = 0.12
 """Scale of `stage` and `calibrate` alike, since calibration shots hold for one rig.json alone. At
@@ -60,17 +62,20 @@ def stage(
     from sim.people.subjects import check_subject, load_subject
     from sim.session import SessionConfig, write_landmarks
 
+    config = SessionConfig()
     check_subject(subject)
     story = Story() if faults is None else Story.read(faults)
     where = (default_rig() if rig is None else load_rig(rig)).scaled(scale)
     patterns = sequence_patterns(sequence, where)
     plan_shots(patterns, where)  # an unknown pattern is refused before a person is made
     story.check_cameras([camera.id for camera in where.cameras], "--faults")
-    person = load_subject(subject, seed, None, SessionConfig().texture_rows)
+    # Finer texels than a third of a pixel show in no photograph.
+    seen_rows = 3 * max(camera.height_px for camera in where.cameras)
+    person = load_subject(subject, seed, None, min(config.texture_rows, max(seen_rows, LEAST_ROWS)))
     with progress_bar("shadow rays, cameras") as progress:
         world = World(person, where, progress)
     if landmarks is not None:
-        write_landmarks(world, landmarks, seed, SessionConfig().click_noise_px)
+        write_landmarks(world, landmarks, seed, config.click_noise_px)
     with tempfile.TemporaryDirectory(prefix="lightstage-stage-") as name:
         desk = Path(name)
         log = FaultLog(None if faults is None else faults.with_suffix(".jsonl").absolute())

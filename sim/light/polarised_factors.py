@@ -67,7 +67,7 @@ def _cross(a: tuple, b: tuple) -> tuple[float, float, float]:
     )
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def _unit_or(a: tuple, other: tuple) -> tuple[float, float, float]:
     """`a` at unit length, or `other` where `a` has none."""
     length2 = _dot(a, a)
@@ -77,7 +77,7 @@ def _unit_or(a: tuple, other: tuple) -> tuple[float, float, float]:
     return (a[0] * scale, a[1] * scale, a[2] * scale)
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def _across(k: tuple) -> tuple[float, float, float]:
     """Some unit vector across the unit vector `k`."""
     if abs(k[0]) < 0.6:
@@ -85,7 +85,7 @@ def _across(k: tuple) -> tuple[float, float, float]:
     return _unit_or(_cross(k, (0.0, 1.0, 0.0)), (0.0, 1.0, 0.0))
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def _projected(axis: tuple, k: tuple) -> tuple[float, float, float]:
     """`axis` made perpendicular to the unit vector `k`, unit; any direction along the ray."""
     along = _dot(axis, k)
@@ -93,7 +93,7 @@ def _projected(axis: tuple, k: tuple) -> tuple[float, float, float]:
     return _unit_or(flat, _across(k))
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def _refracted(axis: tuple, k: tuple, normal: tuple, index: float) -> tuple[float, float, float]:
     """Transmittance of the field along `axis` and across it, and their mean, at direction `k`."""
     r_s, r_p = fresnel_amplitudes(index, _dot(normal, k))

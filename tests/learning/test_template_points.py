@@ -100,6 +100,7 @@ def test_points_are_found_on_the_peoples_mean_head_too(template, tmp_path, monke
         return template.face_points, {"pictures": 1, "faces": 1}
 
     monkeypatch.setattr(command, "find_points", found)
+    monkeypatch.setattr(command, "FINER", 0.5)  # a small picture will do
     facts = command.template_points(folder, None, tmp_path / "seen.png", lambda *_: None)
     mesh, mean = seen
     assert np.allclose(mesh, template.mesh.vertices, atol=1e-3)

@@ -35,7 +35,7 @@ def some_frames(height: int = 9, width: int = 11) -> tuple[np.ndarray, np.ndarra
 
 def windowed(frames: Frames, window: Window) -> Frames:
     """The same frames of which only a window was kept."""
-    half, clipped = frames.half[:, *window.slices], frames.clipped[window.slices]
+    half, clipped = frames.half[:, *window.slices].copy(), frames.clipped[window.slices].copy()
     return Frames(frames.patterns, half, frames.scale, window, frames.shape, clipped)
 
 

@@ -74,7 +74,7 @@ def test_a_session_of_full_alone_becomes_a_mesh_and_states_what_it_is(
     tmp_path: Path, run_command: Callable[..., Any]
 ) -> None:
     session, out = photographed(small_rig(), "full", tmp_path), tmp_path / "out"
-    (tmp_path / "c.toml").write_text("[reconstruct]\nsplits = 0\n")
+    (tmp_path / "c.toml").write_text("[reconstruct]\nsplits = 0\ncell_mm = 2.0\n")
     words = (session, "--out", out, "--config", tmp_path / "c.toml")
     done = run_command("processing", "run", *words, "--until", "reconstruct", "--json")
     assert done.code == 0, done.err

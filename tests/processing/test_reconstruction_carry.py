@@ -90,7 +90,7 @@ def plain_grow(
 def test_growing_is_that_of_its_plain_twin_at_every_scale(seed: int, exponent: float) -> None:
     rng = np.random.default_rng(seed)
     part = np.s_[50:64, 70:86]
-    true, slopes, cosine = (values[part] for values in bowl(8.0))
+    true, slopes, cosine = (np.ascontiguousarray(values[part]) for values in bowl(8.0))
     confirmed = np.where(rng.random(true.shape) < 0.15, true, np.nan)
     matched = np.where(rng.random(true.shape) < 0.4, true + 2e-3 * rng.normal(size=true.shape), 0.0)
     matched[matched == 0] = np.nan

@@ -151,7 +151,7 @@ def test_a_view_that_grazes_judges_where_no_other_can() -> None:
         patch = new_patch(stereo)
         count, floor = gather_patch(stereo, row, column, patch)
         plane = (np.float32(w), *stereo.slopes[row, column])
-        cost = float(plane_cost(stereo, row, column, plane, patch, count, floor))
+        cost = float(plane_cost(stereo, row, column, plane, patch, count, np.float32(floor)))
         # One view alone costs a little more.
         assert cost == pytest.approx(wanted + 0.05 if judged else 2.0, abs=1e-4)
 

@@ -310,7 +310,7 @@ def test_solved_normals_do_not_depend_on_scale(scale: float, tilt: float, turn: 
     above = directions @ normal > 0
     vectors = (LIGHTS.strength * above) @ directions
     system = np.linalg.lstsq(vectors, signal[0].astype(float), rcond=None)[0]
-    exact = solve_normals(signal, vectors[None])[0]
+    exact = solve_normals(signal.astype(float), vectors[None])[0]
     np.testing.assert_allclose(exact, system / np.linalg.norm(system), atol=1e-6)
 
 
@@ -327,7 +327,7 @@ def test_solved_normals_are_unit_or_zero_whatever_is_read(values: list[float]) -
     table = FAR
     for found in (
         solve_far_normals(signal, table, np.array([[0.0, 0.0, 1.0]]), 4),
-        solve_normals(signal, table[:1]),
+        solve_normals(signal.astype(float), table[:1]),
     ):
         length = np.linalg.norm(found)
         assert length == 0 or abs(length - 1) < 1e-6

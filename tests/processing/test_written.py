@@ -83,6 +83,9 @@ def test_averages_are_those_of_a_sparse_product(seed: int, scale: float) -> None
     rng = np.random.default_rng(seed)
     values = scale * rng.normal(size=(30, 5))
     average = sparse.csr_array(sparse.random_array((30, 30), density=0.2, rng=rng))
+    average.indptr, average.indices = (
+        x.astype(np.int64) for x in (average.indptr, average.indices)
+    )
     known = average @ (average @ values)
     np.testing.assert_allclose(smooth(values, average, 2), known, rtol=1e-12, atol=1e-12 * scale)
     np.testing.assert_array_equal(smooth(values, average, 0), values)

@@ -30,7 +30,7 @@ def run(counts, colours, black, white, quads):
 )
 def test_cells_are_those_of_the_plain_twin(seed, height, width, quads, bayer, scale, wild):
     rng = np.random.default_rng(seed)
-    counts = scale * rng.normal(1.0, 1.0, (height, width))
+    counts = (scale * rng.normal(1.0, 1.0, (height, width))).astype(np.float32)
     odd = rng.random(counts.shape)
     counts[odd < wild] = np.nan
     counts[odd < wild / 2] = np.inf
@@ -56,7 +56,7 @@ def test_uint16_counts_and_a_part_of_a_larger_picture_are_summed_alike():
 
 
 def test_extremes_tell_the_pile_at_the_top_and_what_is_no_number():
-    counts = np.ones((16, 16))
+    counts = np.ones((16, 16), np.float32)
     counts[2, 3], counts[4, 4:9] = np.nan, 9.0
     counts[15, 15] = -4.0
     extremes = run(counts, np.array(BAYERS[0]), np.zeros((2, 2)), 100.0, 2)[3]

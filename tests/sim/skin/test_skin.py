@@ -50,14 +50,14 @@ def plain_gradient_noise(point, cell: float, seed: int) -> float:
 
 
 def test_gradient_noise_agrees_with_its_plain_twin():
-    points = np.random.default_rng(0).uniform(-90, 90, (200, 3))
+    points = np.random.default_rng(0).uniform(-90, 90, (200, 3)).astype(np.float32)
     expected = [plain_gradient_noise(p, 3.7, 11) for p in points]
     assert np.allclose(gradient_noise(points, 3.7, 11), expected, atol=1e-6)
 
 
 def test_cell_noise_finds_the_nearest_of_all_scattered_points():
     rng = np.random.default_rng(1)
-    queries = rng.uniform(-4, 4, (60, 3))
+    queries = rng.uniform(-4, 4, (60, 3)).astype(np.float32)
     scattered = []
     for cell in np.ndindex(14, 14, 14):
         corner = np.array(cell) - 7
@@ -66,7 +66,7 @@ def test_cell_noise_finds_the_nearest_of_all_scattered_points():
         scattered.append(corner + 0.1 + 0.8 * jitter)
     away = np.linalg.norm(queries[:, None] - np.array(scattered), axis=-1).min(axis=1)
     # Within one cell's size the search of 27 cells is exact.
-    found, label = cell_noise(queries * 1.3, 1.3, 5)
+    found, label = cell_noise(queries * np.float32(1.3), 1.3, 5)
     near = away < 0.9
     assert near.sum() > 50
     assert np.allclose(found[near], 1.3 * away[near], atol=1e-5)
@@ -87,7 +87,7 @@ def test_noise_has_unit_deviation_and_no_offset():
     st.integers(0, 2**31),
 )
 def test_noise_is_finite_and_bounded_at_every_scale(point, cell_mm, seed):
-    points = np.array([point])
+    points = np.array([point], np.float32)
     assert abs(gradient_noise(points, cell_mm, seed)[0]) <= 1.2
     distance, label = cell_noise(points, cell_mm, seed)
     assert 0 <= distance[0] <= 1.8 * cell_mm
@@ -96,7 +96,7 @@ def test_noise_is_finite_and_bounded_at_every_scale(point, cell_mm, seed):
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_noise_of_no_place_is_no_number(bad):
-    points = np.array([[0.0, bad, 0.0]])
+    points = np.array([[0.0, bad, 0.0]], np.float32)
     assert np.isnan(gradient_noise(points, 2.0, 1)[0])
     distance, label = cell_noise(points, 2.0, 1)
     assert not np.isfinite(distance[0])
@@ -106,7 +106,7 @@ def test_noise_of_no_place_is_no_number(bad):
 def test_noise_is_the_same_on_any_number_of_threads():
     import numba
 
-    points = np.random.default_rng(3).uniform(-50, 50, (5000, 3))
+    points = np.random.default_rng(3).uniform(-50, 50, (5000, 3)).astype(np.float32)
     many = gradient_noise(points, 2.0, 4)
     before = numba.get_num_threads()
     try:

@@ -272,16 +272,17 @@ def test_each_look_changes_what_it_names(look):
 
 
 def test_net_is_zero_on_borders_and_spots_add_up():
-    points = np.random.default_rng(0).uniform(-5, 5, (4000, 3))
+    points = np.random.default_rng(0).uniform(-5, 5, (4000, 3)).astype(np.float32)
     edge = cell_edges(points, 1.0, 3)
     assert edge.min() >= 0
     assert edge.min() < 0.02
-    assert np.isnan(cell_edges(np.array([[np.nan, 0, 0]]), 1.0, 3)[0])
+    assert np.isnan(cell_edges(np.array([[np.nan, 0, 0]], np.float32), 1.0, 3)[0])
     found = spots(points, np.zeros((2, 3)), np.array([1.0, 2.0]), np.array([0.5, 0.25]))
     away = np.linalg.norm(points, axis=1)
     assert np.allclose(found[away < 0.6], 0.75)
     assert (found[away > 2.5] == 0).all()
-    assert spots(np.full((1, 3), np.nan), np.zeros((1, 3)), np.ones(1), np.ones(1))[0] == 0
+    nowhere = np.full((1, 3), np.nan, np.float32)
+    assert spots(nowhere, np.zeros((1, 3)), np.ones(1), np.ones(1))[0] == 0
 
 
 def test_lines_beyond_a_chart_are_cut_and_curves_meet_their_points():
