@@ -382,6 +382,10 @@ def _with_marks(
     own_part = marks + own.detail * finer
     if own.whole is not None:
         own_part = np.where(own.whole[..., None], filled, own_part)
+        if sides:
+            # Of two eyes of which one alone is shown, the other is like it.
+            alike = (own.whole & known)[:, ::-1] & ~known
+            own_part = np.where(alike[..., None], filled[:, ::-1], own_part)
     if own.hair is not None and (known & own.hair).sum() > LEAST_HAIR * own.hair.sum():
         # Its own colour is continued: as a difference it would make skin beside it glow.
         hair = without_gaps(np.log(unlit), known & own.hair, covered, sides) - base

@@ -231,6 +231,21 @@ def test_a_bald_head_is_skin_where_most_people_have_hair(people: list[ProcessedF
     assert shade(refine.OwnShares(0.2, 0.75)) < 0.75
 
 
+def test_an_eye_that_is_not_shown_is_like_the_other_one() -> None:
+    low = np.full((24, 16, 3), 0.4)
+    unlit = np.full((96, 64, 3), 0.4)
+    eye = np.zeros((96, 64), bool)
+    eye[40:48, 10:20] = True
+    unlit[eye] = 0.1, 0.05, 0.02
+    known = ~eye[:, ::-1]
+    own = refine.OwnShares(0.2, 0.75, eye)
+    found = refine._with_marks(low, unlit, known, np.ones_like(known), True, own)
+    np.testing.assert_allclose(found[:, ::-1][eye], found[eye], rtol=1e-5)
+    # Where the columns in reverse are no other side, nothing is known of it.
+    alone = refine._with_marks(low, unlit, known, np.ones_like(known), False, own)
+    assert alone[:, ::-1][eye].mean() > 0.3
+
+
 def test_a_dark_iris_keeps_its_own_colour_where_eyes_are_taken_whole(
     people: list[ProcessedFolder], monkeypatch: pytest.MonkeyPatch
 ) -> None:
