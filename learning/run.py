@@ -32,7 +32,7 @@ from learning.processes import ALONE, Processes
 from learning.samples import Sample, write_samples
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
-from lightstage.errors import DiskError
+from lightstage.errors import DiskError, FormatError
 from lightstage.formats.config import as_dict
 from lightstage.formats.files import others_in, write_bytes
 from lightstage.formats.lock import locked
@@ -42,9 +42,9 @@ from processing.dataset import Store
 
 METRICS, RATE = "metrics.jsonl", "learning_rate"
 """A run's curves, and what every line of a step has among its losses."""
-LOCK = ".lock"
+LOCK = "training.lock"
 """Held while a training writes into its folder; the empty file stays."""
-OWN = (METRICS, "*.safetensors", "events.*", "samples.html", ".*")
+OWN = (METRICS, LOCK, "*.safetensors", "events.*", "samples.html", ".*")
 """What a run that stopped before its first checkpoint leaves, half-written files too."""
 BEFORE = {"shading": "physical", "ema": 0.0, "steps": None}
 """What a run did that began before these could be chosen."""
@@ -544,9 +544,9 @@ def _is_before(line: bytes, first: int) -> bool:
     if not line.endswith(b"\n"):
         return False
     try:
-        values = json.loads(line)
+        values = parse_json(line, METRICS)
         step = int(values["step"])
-    except (ValueError, TypeError, KeyError):
+    except (FormatError, ValueError, TypeError, KeyError):
         return False
     # Step N is logged once it is taken, and the score of N steps under N too.
     return step < first or (step == first and RATE not in values)

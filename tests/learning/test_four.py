@@ -202,7 +202,7 @@ def test_a_run_holds_figures_of_every_part_and_both_files(run: Path) -> None:
     (events,) = (name for name in names if name.startswith("events.out.tfevents."))
     assert names == {
         events,
-        ".lock",
+        "training.lock",
         "samples.html",
         "checkpoint.json",
         "metrics.jsonl",

@@ -400,7 +400,7 @@ def test_training_learns_scores_and_writes_whole_files(store_path: Path, tmp_pat
     (events,) = (name for name in names if name.startswith("events.out.tfevents."))
     assert names == {
         events,
-        ".lock",
+        "training.lock",
         "samples.html",
         "checkpoint.json",
         "metrics.jsonl",
