@@ -14,6 +14,7 @@ from torch import Tensor
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
 from learning.photo.model import NOSE_TIP, ShapeModel, spread_out
+from learning.photo.skin_mask import BROWS
 from learning.render.view import sample_bilinear
 from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.formats.srgb import LUMINANCE
@@ -23,8 +24,6 @@ PLACES = 2000
 """About 4 mm apart."""
 REGIONS = ("skin",)
 """Of a template; eyes, ears, hair and lips are not compared: behind open lips there are teeth."""
-BROWS = slice(17, 27)
-"""In iBUG's order. What is above is not compared, as hair or a hat often hides it."""
 RIM_MM = 130.0
 """Distance from the nose's tip within which an outline is the face's."""
 BESIDE_MM = 6.0
@@ -110,6 +109,7 @@ def face_places(
     shown = np.zeros(len(model.mean), bool)
     for name in REGIONS:
         shown[template.regions.get(name, np.zeros(0, int))] = True
+    # What is above is not compared, as hair or a hat often hides it.
     shown &= (
         template.mesh.vertices[:, 1] < template.mesh.vertices[template.landmarks[BROWS], 1].min()
     )

@@ -161,8 +161,8 @@ def fit_head(
             config.marks_share,
             config.detail_share,
             _own_eyes(texels, together.source),
-            first.hair,
-            hidden,
+            hair=first.hair,
+            hidden=hidden,
         ),
     )
     progress(steps - 1, steps)

@@ -10,11 +10,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from learning.photo.skin_mask import hair_texels
+from learning.photo.skin_mask import BROWS, hair_texels
 from learning.render.uv import UvRaster
 from lightstage.formats.template import Template
 
-BROWS, EYES, MOUTH = slice(17, 27), slice(36, 48), slice(48, 68)
+EYES, MOUTH = slice(36, 48), slice(48, 68)
 """In iBUG's order."""
 ASIDE_MM = 55.0
 """Half of the width of the cheeks."""
