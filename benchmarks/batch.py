@@ -47,7 +47,7 @@ from processing.dataset import (
     open_store,
     verify_store,
 )
-from processing.pipeline import PipelineConfig
+from processing.pipeline_config import PipelineConfig
 from processing.records import RUN_LOCK, code_version, hash_folder
 
 UNTIL = "separate"

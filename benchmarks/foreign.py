@@ -36,7 +36,8 @@ from lightstage.formats.mesh import read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path
-from processing.pipeline import PipelineConfig, run
+from processing.pipeline import run
+from processing.pipeline_config import PipelineConfig
 from processing.records import code_version
 from sim.session import truth_path
 

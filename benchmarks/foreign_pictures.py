@@ -24,7 +24,8 @@ from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path
 from processing.colour import srgb_from_linear
 from processing.evaluation.maps import angle_deg
-from processing.pipeline import PipelineConfig, run
+from processing.pipeline import run
+from processing.pipeline_config import PipelineConfig
 from sim.session import truth_path
 
 PICTURE = Path(__file__).parents[1] / "docs" / "reflectance_foreign.jpg"

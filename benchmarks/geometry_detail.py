@@ -23,7 +23,7 @@ from lightstage.formats.mesh import Mesh, read_ply, vertex_normals
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path
-from processing import pipeline
+from processing import pipeline, pipeline_config
 from processing.refinement.config import RefineConfig
 from processing.refinement.detail import NormalView, displaced
 from processing.refinement.stage import read_normals
@@ -134,7 +134,7 @@ class Truth:
 
 def processed(name: str) -> tuple[Mesh, list[NormalView]]:
     """A person's mesh, and the specular normals that `refine` found on it."""
-    path, config = session(person(name)), pipeline.read_config(None)
+    path, config = session(person(name)), pipeline_config.read_config(None)
     with tempfile.TemporaryDirectory() as place:
         out = ProcessedFolder(Path(place))
         pipeline.run(path, out.root, default_template_path(), config, until="refine")

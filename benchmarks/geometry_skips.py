@@ -25,7 +25,7 @@ from benchmarks.geometry_people import PEOPLE
 from benchmarks.geometry_scores import Surface
 from benchmarks.record import record
 from lightstage.formats.template import default_template_path
-from processing import pipeline
+from processing import pipeline, pipeline_config
 from processing.frames.read import read_frames
 from processing.lighting.lights import PatternLights
 from processing.reconstruction.config import ReconstructConfig
@@ -104,7 +104,7 @@ def called_twice(name: str) -> list[tuple[object, ...]]:
     rows: list[tuple[object, ...]] = []
     with tempfile.TemporaryDirectory() as place:
         for what in ("first", "second, nothing changed", "third, [reconstruct] trim_mm changed"):
-            config = pipeline.read_config(None)
+            config = pipeline_config.read_config(None)
             if "third" in what:
                 changed = dataclasses.replace(config.reconstruct, trim_mm=2.5)
                 config = dataclasses.replace(config, reconstruct=changed)

@@ -38,7 +38,8 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path
 from lightstage.rig import Rig, default_rig
-from processing.pipeline import PipelineConfig, run
+from processing.pipeline import run
+from processing.pipeline_config import PipelineConfig
 from sim.light.world import World
 from sim.people.clothing import CHIN, collar, dressed
 from sim.people.subject import Subject

@@ -31,7 +31,8 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path
 from lightstage.rig import Rig, default_rig
-from processing.pipeline import STAGES, read_config, run
+from processing.pipeline import STAGES, run
+from processing.pipeline_config import read_config
 from sim.session import truth_path
 
 WHO = "lps"

@@ -192,8 +192,20 @@ def occlusion_table_for(path: Path | None, mesh: Mesh) -> OcclusionTable:
     else:
         where, table = path, load_occlusion(path)
         face = table.face
-    if face is None:
-        return table
+    if face is not None:
+        _require_uv(
+            face,
+            mesh,
+            where,
+            "a head of the UV that the table was baked in",
+            "Bake one of the head's template by `lightstage-learning occlusion --template`, "
+            "or use --shadows baked.",
+        )
+    return table
+
+
+def _require_uv(face: np.ndarray, mesh: Mesh, where: Path, expected: str, hint: str) -> None:
+    """CheckpointError where (rows, columns) triangles by texel are not those of a head."""
     try:
         alike = likeness(face, rasterise(mesh, *face.shape).face)
     except FormatError:  # nothing of it is in the tile
@@ -201,13 +213,11 @@ def occlusion_table_for(path: Path | None, mesh: Mesh) -> OcclusionTable:
     if alike < LEAST_ALIKE:
         raise CheckpointError(
             where,
-            field="face",
+            field="uv",
             found=f"{alike:.0%} of the texels show the triangle of the head to render",
-            expected=f"at least {LEAST_ALIKE:.0%}, a head of the UV that the table was baked in",
-            hint="Bake one of the head's template by `lightstage-learning occlusion --template`, "
-            "or use --shadows baked.",
+            expected=f"at least {LEAST_ALIKE:.0%}, {expected}",
+            hint=hint,
         )
-    return table
 
 
 def occlusion_network_for(path: Path, mesh: Mesh, lights: int) -> OcclusionNetwork:
@@ -225,20 +235,14 @@ def occlusion_network_for(path: Path, mesh: Mesh, lights: int) -> OcclusionNetwo
     network, about = load_occlusion_network(path)
     where = about.folder / INDEX
     sizes = network.config
-    try:
-        face = rasterise(mesh, sizes.rows, sizes.columns).face
-        alike = likeness(network.face.numpy(), face)
-    except FormatError:  # nothing of it lies in the tile
-        alike = 0.0
-    if alike < LEAST_ALIKE:
-        raise CheckpointError(
-            where,
-            field="uv",
-            found=f"{alike:.0%} of the texels show the triangle of the head to render",
-            expected=f"at least {LEAST_ALIKE:.0%}, a head of the UV that it was trained in",
-            hint="Train one with `lightstage-learning occlusion --network` on this head or its "
-            "template, or use --shadows baked.",
-        )
+    _require_uv(
+        network.face.numpy(),
+        mesh,
+        where,
+        "a head of the UV that it was trained in",
+        "Train one with `lightstage-learning occlusion --network` on this head or its "
+        "template, or use --shadows baked.",
+    )
     heads = about.config.get("heads")
     if not isinstance(heads, list):
         raise CheckpointError(where, field="config.heads", found=repr(heads), expected="a list")

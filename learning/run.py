@@ -28,32 +28,23 @@ from learning.clock import NETWORK, Clock
 from learning.errors import CheckpointError, TrainingError
 from learning.event_file import EVENTS, EventFile
 from learning.guard import LEAP, LEAP_FROM_FIRST, WINDOW, Guard
+from learning.metrics_file import METRICS, drop_lost_lines
 from learning.processes import ALONE, Processes
+from learning.resuming import require_same_run
 from learning.samples import Sample, write_samples
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
-from lightstage.errors import DiskError, FormatError
+from lightstage.errors import DiskError
 from lightstage.formats.config import as_dict
-from lightstage.formats.files import others_in, write_bytes
+from lightstage.formats.files import others_in
 from lightstage.formats.lock import locked
-from lightstage.formats.values import parse_json
 from lightstage.interrupts import first_signal_noted
 from processing.dataset import Store
 
-METRICS, RATE = "metrics.jsonl", "learning_rate"
-"""A run's curves, and what every line of a step has among its losses."""
 LOCK = "training.lock"
 """Held while a training writes into its folder; the empty file stays."""
 OWN = (METRICS, LOCK, "*.safetensors", "events.*", "samples.html", ".*")
 """What a run that stopped before its first checkpoint leaves, half-written files too."""
-BEFORE = {"shading": "physical", "ema": 0.0, "steps": None}
-"""What a run did that began before these could be chosen."""
-BEFORE_DATA = {"whole": True}
-"""The same of the table `data`."""
-FREE = ("seconds", "precision", "compile", "save_seconds", "log_steps")
-"""Configuration that may differ when a run is resumed: how long, how fast, and what is written."""
-MOST_NAMED = 4
-"""Values that differ from those a run began with, at most, that a message names."""
 
 
 class Learner(Protocol):
@@ -229,7 +220,7 @@ class Run:
     def _drop_lost(self) -> None:
         """Remove the curves of steps that no checkpoint has."""
         if (self.out / INDEX).exists():
-            _drop_lost_lines(self.out / METRICS, self.first)
+            drop_lost_lines(self.out / METRICS, self.first)
             return
         # Of a run that ended before its first checkpoint: its curves are not this one's.
         for path in (self.out / METRICS, *self.out.glob(f"{EVENTS}*")):
@@ -387,7 +378,7 @@ def begin(
                 hint="Leave --resume out to begin one, or name the --out of the run to resume.",
             )
         checkpoint = read_checkpoint(out)
-        _check_same(checkpoint, config, store)
+        require_same_run(checkpoint, config, store)
         load(checkpoint)
         first, spent = checkpoint.step, checkpoint.step_seconds
     elif processes.first or (out / INDEX).exists():
@@ -469,84 +460,3 @@ def split(store: Store, held_out: int) -> tuple[set[str], set[str]]:
             "person all go to one side.",
         )
     return set(people[-held_out:]), set(people[:-held_out])
-
-
-def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
-    where = checkpoint.folder / INDEX
-    if checkpoint.family != config.family:
-        raise CheckpointError(
-            where,
-            field="family",
-            found=f"{checkpoint.family}, as the run began",
-            expected=f"{config.family}, the given preset's",
-            hint="Resume with the --preset that the run began with, or choose another --out.",
-        )
-    wanted = parse_json(json.dumps(as_dict(config)), "configuration")
-    # Not every family has all of these to choose.
-    before = {name: value for name, value in BEFORE.items() if name in wanted}
-    begun = {**before, **checkpoint.config}
-    if isinstance(begun.get("data"), dict):
-        begun["data"] = {**BEFORE_DATA, **begun["data"]}
-    differing = {
-        name: values for name, values in _differences(begun, wanted).items() if name not in FREE
-    }
-    if differing:
-        named = list(differing)[:MOST_NAMED]
-        more = f" and {len(differing) - len(named)} more" if len(differing) > len(named) else ""
-        raise CheckpointError(
-            where,
-            field=", ".join(named) + more,
-            found=", ".join(str(differing[name][1]) for name in named) + " now",
-            expected=", ".join(str(differing[name][0]) for name in named) + ", as the run began",
-            hint="Resume with the same --preset, --config and --seed.",
-        )
-    if checkpoint.data_fingerprint != store.fingerprint:
-        raise CheckpointError(
-            where,
-            field="data_fingerprint",
-            found=f"{store.fingerprint[:12]} now, of {store.path}",
-            expected=f"{checkpoint.data_fingerprint[:12]}, as the run began",
-            hint="Resume with the --data that the run began with, or choose another --out.",
-        )
-
-
-def _differences(then: Any, now: Any, name: str = "") -> dict[str, tuple[Any, Any]]:
-    """Values that two nested configurations do not share, by dotted name."""
-    if not (isinstance(then, dict) and isinstance(now, dict)):
-        return {} if then == now else {name: (then, now)}
-    found: dict[str, tuple[Any, Any]] = {}
-    for key in sorted(then.keys() | now.keys()):
-        below = f"{name}.{key}" if name else key
-        found |= _differences(then.get(key, "nothing"), now.get(key, "nothing"), below)
-    return found
-
-
-def _drop_lost_lines(path: Path, first: int) -> None:
-    """Leave out of a run's metrics what is of no step that its checkpoint has.
-
-    A training that was killed logged steps after its last checkpoint, which are taken again, and
-    may have left half a line, to which the next one would be joined.
-
-    Args:
-        path: of the metrics, one JSON object a line.
-        first: step with which the run is resumed.
-    """
-    if not path.exists():
-        return
-    lines = path.read_bytes().splitlines(keepends=True)
-    kept = [line for line in lines if _is_before(line, first)]
-    if len(kept) < len(lines):
-        write_bytes(path, b"".join(kept))
-
-
-def _is_before(line: bytes, first: int) -> bool:
-    """Whether a line of metrics is whole, and of a step before `first`, or of a score at it."""
-    if not line.endswith(b"\n"):
-        return False
-    try:
-        values = parse_json(line, METRICS)
-        step = int(values["step"])
-    except (FormatError, ValueError, TypeError, KeyError):
-        return False
-    # Step N is logged once it is taken, and the score of N steps under N too.
-    return step < first or (step == first and RATE not in values)

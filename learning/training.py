@@ -22,8 +22,9 @@ from learning.clock import DATA, IDLE, Clock
 from learning.config import TrainingConfig
 from learning.devices import CPU, moved
 from learning.loader import Ahead, threads_may_render
+from learning.metrics_file import RATE
 from learning.processes import ALONE, Processes
-from learning.run import RATE, ScoreT
+from learning.run import ScoreT
 from learning.samples import Sample
 
 BatchT = TypeVar("BatchT")

@@ -165,9 +165,11 @@ def _process(
     force: bool = False,
     meshes: tuple[Path | None, Path | None] = (None, None),
 ) -> None:
-    from processing import pipeline
+    from processing import pipeline, pipeline_config
 
-    settings = pipeline.read_config(config, atlas_rows, *meshes, force=force, take=take_batch)
+    settings = pipeline_config.read_config(
+        config, atlas_rows, *meshes, force=force, take=take_batch
+    )
     with limited_access(group_of([session])):
         report = pipeline.run(
             session, out, template, settings, until=until, only=only, bar=progress_bar
@@ -196,9 +198,11 @@ def _why(
     meshes: tuple[Path | None, Path | None],
 ) -> None:
     """Print which stages would run, and why."""
-    from processing import pipeline
+    from processing import pipeline, pipeline_config
 
-    settings = pipeline.read_config(config, atlas_rows, *meshes, force=force, take=take_batch)
+    settings = pipeline_config.read_config(
+        config, atlas_rows, *meshes, force=force, take=take_batch
+    )
     reasons = pipeline.why(pipeline.read_job(session, out, template, settings, until), until)
     lines = [f"{stage}: {reason or 'up to date'}" for stage, reason in reasons.items()]
     finish("\n".join(lines), {"out": str(out), "stages": reasons}, as_json)
@@ -229,7 +233,7 @@ def register_mesh(
     from lightstage.formats.mesh import read_mesh, write_obj
     from lightstage.formats.template import load_template
     from lightstage.meshlab import cleaned
-    from processing import pipeline
+    from processing import pipeline_config
     from processing.registration.providers import (
         CommandLandmarks,
         DetectedLandmarks,
@@ -252,7 +256,7 @@ def register_mesh(
             hint="The registered mesh would take the scan's place.",
         )
     shape, scan = load_template(template), read_mesh(mesh)
-    settings = pipeline.read_config(config).register
+    settings = pipeline_config.read_config(config).register
     command = landmark_command or settings.landmark_command
     notes: list[str] = []
     if landmarks is not None:

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterator, Mapping
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping
 
-from lightstage.errors import ConfigError, LightstageError, one_error
 from lightstage.formats.config import MOST
 
 SOME = 1e-3
@@ -61,40 +57,3 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "grey.lit_share": (0, 1),
 }
 """Least and largest value of a setting, also of each of several; of all others 0 and `MOST`."""
-
-
-def require_possible(config: Any, where: str | Path) -> None:
-    """Refuse numbers outside their bounds, and an empty list of numbers; all in one message.
-
-    Args:
-        config: of all stages, or of `calibrate`: a dataclass with one for each.
-        where: what errors name, such as the TOML file.
-
-    Raises:
-        ConfigError: settings that no stage can work with.
-    """
-    problems: list[LightstageError] = []
-    for name, value in all_settings(config):
-        values = value if isinstance(value, tuple) else (value,)
-        least, most = BOUNDS.get(name, (0.0, MOST))
-        if not values and name in BOUNDS:
-            problems.append(
-                ConfigError(where, field=name, found="no value", expected="at least one")
-            )
-        numbers = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool)]
-        wrong = [number for number in numbers if not least <= number <= most]  # NaN is in none
-        if wrong:
-            expected = f"{least:g} or more" if most == MOST else f"from {least:g} to {most:g}"
-            problems.append(ConfigError(where, field=name, found=repr(wrong[0]), expected=expected))
-    if problems:
-        raise one_error(problems)
-
-
-def all_settings(config: Any, above: str = "") -> Iterator[tuple[str, Any]]:
-    """Every setting below a dataclass, by its name with dots."""
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from all_settings(value, f"{above}{field.name}.")
-        else:
-            yield above + field.name, value

@@ -12,24 +12,19 @@ from typing import Any
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, one_error
-from lightstage.formats.config import as_dict, make_config, read_toml
+from lightstage.formats.config import as_dict
 from lightstage.formats.files import write_json
 from lightstage.formats.lock import locked
-from lightstage.formats.mesh import read_ply
 from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
-from processing.atlas.config import AtlasConfig
 from processing.atlas.stage import atlas
-from processing.bounds import require_possible
 from processing.coarse_maps import has_coarse, write_as_views
 from processing.decode.completing import unmendable_frames, with_complements
-from processing.decode.config import DecodeConfig
 from processing.decode.stage import decode, lit_patterns
 from processing.errors import ProcessingError
 from processing.pages import lacks_head, write_processed_report
-from processing.reconstruction.colmap_folder import require_maps
-from processing.reconstruction.given import require_given
-from processing.reconstruction.stage import ReconstructConfig, reconstruct
+from processing.pipeline_config import PipelineConfig, require_named
+from processing.reconstruction.stage import reconstruct
 from processing.records import (
     EVALUATION,
     REPORT_SCHEMA,
@@ -46,12 +41,9 @@ from processing.records import (
     versions,
     write_records,
 )
-from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
-from processing.registration.config import RegisterConfig
 from processing.registration.stage import register, require_landmarks
 from processing.separation.choice import give_normals, no_normals
-from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
 from processing.stage_inputs import STAGE_MODULES, StageInputs, stage_inputs, why_stale
 
@@ -66,27 +58,6 @@ VIEWS = "views/"
 
 Bar = Callable[[str], contextlib.AbstractContextManager[ProgressCallback]]
 """Given a stage's name, a context with a progress callback, such as `commands.progress_bar`."""
-
-
-@dataclasses.dataclass(frozen=True)
-class PipelineConfig:
-    """Configuration of all stages; a TOML file has one table for each."""
-
-    decode: DecodeConfig = dataclasses.field(default_factory=DecodeConfig)
-    separate: SeparateConfig = dataclasses.field(default_factory=SeparateConfig)
-    reconstruct: ReconstructConfig = dataclasses.field(default_factory=ReconstructConfig)
-    refine: RefineConfig = dataclasses.field(default_factory=RefineConfig)
-    register: RegisterConfig = dataclasses.field(default_factory=RegisterConfig)
-    atlas: AtlasConfig = dataclasses.field(default_factory=AtlasConfig)
-
-    def as_forced(self) -> PipelineConfig:
-        """The same, going on where photographs contradict each other or their patterns."""
-        prepare = dataclasses.replace(self.decode.prepare, forced=True)
-        return dataclasses.replace(
-            self,
-            decode=dataclasses.replace(self.decode, prepare=prepare),
-            separate=dataclasses.replace(self.separate, forced=True),
-        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,58 +81,6 @@ class Job:
     def made_from(self) -> MadeFrom:
         """The session as the folder's records have it."""
         return MadeFrom(self.session.file.id, self.session.file.subject)
-
-
-def read_config(
-    path: Path | None,
-    atlas_rows: int | None = None,
-    mesh: Path | None = None,
-    occluders: Path | None = None,
-    *,
-    force: bool = False,
-    take: Callable[[dict[str, Any], str | Path], object] | None = None,
-) -> PipelineConfig:
-    """Defaults, overridden by a TOML file, overridden by the command line.
-
-    Args:
-        path: the file.
-        atlas_rows: height of the atlas in texels.
-        mesh: of the head, in place of a reconstructed one.
-        occluders: mesh of what else casts shadows.
-        force: continue where photographs contradict each other or their patterns.
-        take: takes tables that are no stage's out of the file's values, such as `take_batch`.
-
-    Raises:
-        ConfigError: an unknown table or key, a value of another type, or one that no stage can
-            work with (`bounds`).
-    """
-    values = {} if path is None else read_toml(path)
-    where = path or "configuration"
-    if take is not None:
-        take(values, where)
-    found = config_of(values, where, atlas_rows, mesh, occluders)
-    return found.as_forced() if force else found
-
-
-def config_of(
-    values: dict[str, Any],
-    where: str | Path,
-    atlas_rows: int | None = None,
-    mesh: Path | None = None,
-    occluders: Path | None = None,
-) -> PipelineConfig:
-    """As `read_config`, of a file's values; `where` is what errors name."""
-    config = make_config(PipelineConfig, values, where)
-    if atlas_rows is not None:
-        config = dataclasses.replace(
-            config, atlas=dataclasses.replace(config.atlas, rows=atlas_rows)
-        )
-    require_possible(config, where)
-    given = {"mesh": mesh, "occluders": occluders}
-    meshes: dict[str, Any] = {name: str(file) for name, file in given.items() if file is not None}
-    return dataclasses.replace(
-        config, reconstruct=dataclasses.replace(config.reconstruct, **meshes)
-    )
 
 
 @contextlib.contextmanager
@@ -204,7 +123,7 @@ def run(
     last = only or until
     job = read_job(session_path, out, template_path, config, last)
     # What these refuse is refused before the folder is made.
-    _require_named(config)
+    require_named(config)
     _plan(job, last, only)
     with locked(out / RUN_LOCK, busy(out)):
         remove_leftovers(out)
@@ -218,20 +137,6 @@ def run(
         if planned or lacked or lacks_head(out):
             write_processed_report(out, report)
     return {**report, "ran": planned}
-
-
-def _require_named(config: PipelineConfig) -> None:
-    """Read the meshes, and find the depth maps, that a configuration names.
-
-    Raises:
-        FormatError: no such file or folder, or no mesh and no depth map.
-        ReconstructionError: a mesh in another unit than mm.
-    """
-    if config.decode.mesh:
-        read_ply(Path(config.decode.mesh))
-    require_given(config.reconstruct)
-    if config.reconstruct.colmap_from:
-        require_maps(Path(config.reconstruct.colmap_from))
 
 
 def read_job(
@@ -321,7 +226,7 @@ def run_next(job: Job, last: str = STAGES[-1], bar: Bar = no_bar) -> tuple[str |
     Raises:
         LightstageError: as `run`; ProcessingError also where another run holds the folder.
     """
-    _require_named(job.config)
+    require_named(job.config)
     with locked(job.out / RUN_LOCK, busy(job.out)):
         remove_leftovers(job.out)
         records, inputs, planned = _plan(job, last, None)

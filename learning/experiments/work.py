@@ -47,10 +47,11 @@ from learning.four.config import FourTrainConfig
 from learning.four.infer import infer_four
 from learning.four.networks import load_four_networks
 from learning.infer import infer
+from learning.metrics_file import METRICS
 from learning.patch_config import PatchConfig
 from learning.patch_light import target_environment
 from learning.render.environments import Environment, RandomLightConfig
-from learning.run import METRICS, Run, TrainResult
+from learning.run import Run, TrainResult
 from learning.train import TRAINERS, train
 from learning.whole.infer import infer_whole_face
 from lightstage.formats.config import as_dict

@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from learning.photo.skin_mask import BROWS, hair_texels
+from learning.photo.skin_mask import BROWS, hair_texels, mean_around
 from learning.render.uv import UvRaster
 from lightstage.formats.template import Template
 
@@ -23,8 +23,6 @@ AHEAD_MM = 30.0
 CLEAR_MM = 2.0, 8.0, 2.0
 """Above the brows, below the eyes and above the mouth, what is no part of either."""
 DARKEST = 1e-3
-BLUR_SHARE = 1 / 192
-"""Standard deviation over which a colour is taken, of a texture's rows: some strands."""
 LEAST_APART = 0.3
 """Difference of hair's and cheeks' median colours, in natural logarithms, from which they are
 distinct. A bald skull has .2 by what its light leaves, blond hair .4, dark hair on light skin 1 to
@@ -78,10 +76,6 @@ class Forehead:
 
 def _colour(albedo: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """(rows, columns, 3) logarithms of an albedo's mean, and of red and blue over green."""
-    weight, sigma = seen.astype(np.float32), BLUR_SHARE * len(seen)
-    log = np.log(np.clip(np.nan_to_num(albedo), DARKEST, 1))
-    log = np.where(seen[..., None], log, 0).astype(np.float32)
-    around = np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3)[..., None]
-    log = cv2.GaussianBlur(log, (0, 0), sigma) / around
+    log = mean_around(np.log(np.clip(np.nan_to_num(albedo), DARKEST, 1)), seen)
     green = log[..., 1]
     return np.stack([log.mean(axis=2), log[..., 0] - green, log[..., 2] - green], axis=-1)

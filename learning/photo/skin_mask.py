@@ -15,6 +15,8 @@ NOT_SKIN = 0.9
 which a place shows no skin: hair, glasses, a hand's shadow. Freckles and lips stay below .5."""
 SPREAD = 1 / 64
 """Of such a place around it, of the texture's rows."""
+AROUND = 1 / 192
+"""Standard deviation of the millimetres over which means are taken, of the texture's rows."""
 HALF_AT = 0.35
 """Natural logarithm at which a place weighs a quarter in the fit of a soft light."""
 ROBUST_ROUNDS = 12
@@ -139,10 +141,17 @@ def in_no_light(
 
 def _over_millimetres(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """(rows, columns) size of the mean of what is seen around a texel."""
-    sigma = len(seen) / 192
+    return np.abs(mean_around(values, seen))
+
+
+def mean_around(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """(rows, columns[, c]) float32 mean of what is seen within some millimetres of a texel."""
+    sigma = AROUND * len(seen)
     around = np.maximum(cv2.GaussianBlur(seen.astype(np.float32), (0, 0), sigma), 1e-3)
-    off = np.where(seen, values, 0).astype(np.float32)
-    return np.abs(cv2.GaussianBlur(off, (0, 0), sigma) / around)
+    if values.ndim == 3:
+        seen, around = seen[..., None], around[..., None]
+    known = np.where(seen, values, 0).astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(known, (0, 0), sigma) / around)
 
 
 def spread(mask: np.ndarray, share: float) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -110,31 +110,46 @@ def _first_that_takes(options: list[Any], value: Any, where: str | Path, key: st
     raise ConfigError(where, field=key, found=repr(value), expected=names)
 
 
-def require_bounds(config: Any, where: str, bounds: Mapping[str, tuple[float, float]]) -> None:
+def require_bounds(
+    config: Any, where: str | Path, bounds: Mapping[str, tuple[float, float]]
+) -> None:
     """Refuse a configuration whose numbers leave their bounds; all of them in one message.
 
     Args:
-        config: a dataclass.
+        config: a dataclass, with those in it.
         where: what to name in an error.
-        bounds: of a field, the least and the largest value; every other number of the dataclass
-            must be 0 or more, and at most `MOST`.
+        bounds: of a field, by its name with dots, the least and the largest value, also of each of
+            several, of which there must be one; every other number must be 0 or more, and at most
+            `MOST`.
 
     Raises:
         ConfigError: numbers that are not between their bounds.
     """
     problems: list[LightstageError] = []
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            continue
-        least, most = bounds.get(field.name, (0.0, MOST))
-        if not least <= value <= most:  # NaN is between no two
-            expected = f"{least:g} or more" if most == MOST else f"from {least:g} to {most:g}"
+    for name, value in all_fields(config):
+        values = value if isinstance(value, tuple) else (value,)
+        least, most = bounds.get(name, (0.0, MOST))
+        if not values and name in bounds:
             problems.append(
-                ConfigError(where, field=field.name, found=repr(value), expected=expected)
+                ConfigError(where, field=name, found="no value", expected="at least one")
             )
+        numbers = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool)]
+        wrong = [number for number in numbers if not least <= number <= most]  # NaN is in none
+        if wrong:
+            expected = f"{least:g} or more" if most == MOST else f"from {least:g} to {most:g}"
+            problems.append(ConfigError(where, field=name, found=repr(wrong[0]), expected=expected))
     if problems:
         raise one_error(problems)
+
+
+def all_fields(config: Any, above: str = "") -> Iterator[tuple[str, Any]]:
+    """Every field of a dataclass and of those in it, by its name with dots."""
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from all_fields(value, f"{above}{field.name}.")
+        else:
+            yield above + field.name, value
 
 
 def as_dict(config: Any) -> dict[str, Any]:

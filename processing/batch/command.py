@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lightstage.formats.session import Session
     from processing.batch.config import BatchConfig
     from processing.batch.drive import Batch, Item
-    from processing.pipeline import PipelineConfig
+    from processing.pipeline_config import PipelineConfig
 
 MOST_WORKERS = 1024
 
@@ -64,7 +64,8 @@ def batch_command(
     """Every session from photographs to the atlas; what is up to date is skipped."""
     from lightstage.formats.config import read_toml
     from processing.batch.config import take_batch
-    from processing.pipeline import STAGES, config_of
+    from processing.pipeline import STAGES
+    from processing.pipeline_config import config_of
 
     if until not in STAGES:
         raise ProcessingError("--until", found=repr(until), expected=", ".join(STAGES))

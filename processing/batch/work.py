@@ -23,7 +23,7 @@ from lightstage.failures import explain
 from processing.parallel import THREADS, threads_of_worker
 
 if TYPE_CHECKING:
-    from processing.pipeline import PipelineConfig
+    from processing.pipeline_config import PipelineConfig
 
 TOPIC = "lightstage-batch"
 """Name of the events in which workers report their progress."""

@@ -24,8 +24,8 @@ def calibrate_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """Colours, flats and black level of every camera, and lamps, from photographed targets."""
-    from lightstage.formats.config import make_config, read_toml
-    from processing.bounds import require_possible
+    from lightstage.formats.config import make_config, read_toml, require_bounds
+    from processing.bounds import BOUNDS
     from processing.calibration.config import CalibrateConfig
     from processing.calibration.folder import read_source
     from processing.calibration.output import headline, make_calibration
@@ -33,7 +33,7 @@ def calibrate_command(
     values = {} if config is None else read_toml(config)
     where = "defaults" if config is None else config
     settings = make_config(CalibrateConfig, values, where)
-    require_possible(settings, where)
+    require_bounds(settings, where, BOUNDS)
     source = read_source(lab)
     with progress_bar("calibrate") as progress:
         found = make_calibration(source, settings, out, progress)

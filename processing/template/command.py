@@ -215,7 +215,7 @@ def transfer_command(
     """Carry all maps of a folder from one template's texture to another's."""
     from lightstage.formats.files import require_new
     from lightstage.formats.template import load_template
-    from processing import pipeline
+    from processing import pipeline_config
     from processing.template.config import TransferConfig
     from processing.template.transfer import (
         MASK,
@@ -227,7 +227,7 @@ def transfer_command(
     )
 
     require_new(out, overwrite, MASK)
-    register = pipeline.read_config(config).register
+    register = pipeline_config.read_config(config).register
     settings = TransferConfig()
     find_maps(maps)
     one, other = load_template(first), load_template(second)

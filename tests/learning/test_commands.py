@@ -2,20 +2,18 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from learning.__main__ import main
 from lightstage.formats.environment import LightSet, read_lights, write_lights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
 from lightstage.formats.processed import ProcessedFolder, write_map
 from lightstage.rig import Rig, default_rig, save_rig
-from tests.programs import run_program
+from tests.learning.export.called import run
 
 TINY_TOML = """
 epochs = 1
@@ -34,14 +32,6 @@ stride_px = 32
 shadow_rows = 24
 shadow_sets = 1
 """
-
-
-def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
-    """Exit code of a command."""
-    monkeypatch.setattr(sys, "argv", ["lightstage-learning", *map(str, words)])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    return int(stopped.value.code or 0)
 
 
 @pytest.fixture
@@ -241,8 +231,7 @@ def test_infer_refuses_a_captures_atlas_and_replaces_maps_all_at_once(
 
     monkeypatch.setattr("learning.commands.write_map", interrupted)
     darker = write_exr(tmp_path / "darker.exr", 0.5 * read_exr(base[-1]))
-    # This one puts the signals' handlers back, which an interrupted command leaves ignored.
-    assert run_program("learning", *base[:-1], darker, "--out", out).code == 130
+    assert run(monkeypatch, *base[:-1], darker, "--out", out) == 130
     assert len(calls) == 3
     assert content(out) == first
     assert sorted(path.name for path in tmp_path.iterdir()) == ["captured", "darker.exr", "maps"]

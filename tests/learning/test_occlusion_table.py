@@ -100,7 +100,7 @@ def test_a_table_of_another_uv_is_refused(tmp_path: Path) -> None:
     assert occlusion_table_for(None, mesh) is default_occlusion()
     other = bake_table(ball(), OcclusionConfig(rows=24, directions=20)).save(tmp_path / "ball.npz")
     assert len(occlusion_table_for(other, ball()).bits) == 20
-    with pytest.raises(CheckpointError, match=r"ball\.npz, face: found \d+% of the texels"):
+    with pytest.raises(CheckpointError, match=r"ball\.npz, uv: found \d+% of the texels"):
         occlusion_table_for(other, mesh)
     with pytest.raises(CheckpointError, match="--shadows baked"):
         occlusion_table_for(None, ball())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import sys
 from pathlib import Path
 
 import cv2
@@ -15,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from learning.__main__ import main
 from learning.augment import AugmentConfig
 from learning.checkpoint import (
     load_super_resolution,
@@ -37,6 +35,7 @@ from lightstage.formats.exr import read_exr, write_exr
 from processing.dataset import build_store, open_store
 from sim.people.dataset import make_plan, write_people
 from sim.people.table import load_table
+from tests.learning.export.called import run
 
 SMALL = RcanConfig(groups=2, blocks=2, width=8, tail_width=6, reduction=2)
 TINY = UpscaleTrainConfig(
@@ -304,14 +303,6 @@ patch_px = 8
 count = 4
 shadow_sets = 2
 """
-
-
-def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
-    """Exit code of a command."""
-    monkeypatch.setattr(sys, "argv", ["lightstage-learning", *map(str, words)])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    return int(stopped.value.code or 0)
 
 
 def test_train_then_upscale_by_the_commands(

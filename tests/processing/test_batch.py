@@ -22,7 +22,8 @@ from lightstage.formats.lock import locked
 from lightstage.formats.template import default_template_path
 from processing.atlas.config import AtlasConfig
 from processing.batch import needs, work
-from processing.pipeline import PipelineConfig, run
+from processing.pipeline import run
+from processing.pipeline_config import PipelineConfig
 from processing.records import RUN_LOCK, code_version, hash_folder
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball

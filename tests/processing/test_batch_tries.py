@@ -16,7 +16,7 @@ from processing.batch.config import BatchConfig
 from processing.batch.drive import Batch, Item
 from processing.batch.figures import FEWEST, MAD_TO_SIGMA, robust_z
 from processing.batch.work import Answer, Order, look
-from processing.pipeline import PipelineConfig
+from processing.pipeline_config import PipelineConfig
 
 KILLED = distributed.KilledWorker("task", None, 0)
 

@@ -21,7 +21,8 @@ from lightstage.errors import LightstageError
 from lightstage.formats.template import default_template_path
 from processing.batch import work
 from processing.batch.cluster import require_fit
-from processing.pipeline import PipelineConfig, run
+from processing.pipeline import run
+from processing.pipeline_config import PipelineConfig
 from processing.records import RUN_LOCK
 from tests.documents import ROOT
 from tests.processing import lit_ball

@@ -30,7 +30,8 @@ from processing.coarse_maps import (
 )
 from processing.errors import ProcessingError
 from processing.frames.read import write_foreground
-from processing.pipeline import PipelineConfig, read_job, run, why
+from processing.pipeline import read_job, run, why
+from processing.pipeline_config import PipelineConfig
 from processing.reconstruction.config import ReconstructConfig
 from processing.refinement.config import RefineConfig
 from processing.view_maps import MAP_NAMES, PixelMaps

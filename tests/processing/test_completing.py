@@ -15,7 +15,8 @@ from lightstage.formats.template import default_template_path
 from lightstage.patterns import pattern_levels
 from processing.decode.completing import missing_patterns, pairs_of, with_complements
 from processing.frames.read import read_frames
-from processing.pipeline import PipelineConfig, run
+from processing.pipeline import run
+from processing.pipeline_config import PipelineConfig
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball
 

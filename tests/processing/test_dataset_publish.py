@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from lightstage.errors import ConfigError, LightstageError
@@ -22,7 +21,6 @@ from processing.dataset import PublishConfig, Store, build_store, open_store
 from processing.dataset.places import CLEAR, clear_skin, places_of
 from processing.dataset.protection import CANNOT_PROTECT
 from processing.dataset.publish import published_places, read_patch
-from processing.dataset.release_files import kind_of
 from tests.processing.releases import (
     ABOUT_FILE,
     GAP,
@@ -488,71 +486,3 @@ def test_a_published_set_given_to_publish_is_distinguished_from_one_given_to_tra
     assert "training" not in message
     with pytest.raises(LightstageError, match="training"):
         open_store(released)
-
-
-class Bumpy(Store):
-    """A store whose normals and positions have relief, and are rounded as a store's are."""
-
-    def read(self, scan: int, name: str, rows: slice, columns: slice) -> np.ndarray:
-        if name not in ("diffuse_normal", "specular_normal", "position"):
-            return super().read(scan, name, rows, columns)
-        whole = super().read(scan, name, slice(None), slice(None))
-        bumps = np.random.default_rng(len(name)).normal(size=whole.shape)
-        known = (whole != 0).any(axis=2, keepdims=True)
-        if name == "position":
-            return np.asarray((whole + bumps) * known, np.float32)[rows, columns]
-        turned = whole + 0.3 * bumps
-        turned /= np.linalg.norm(turned, axis=2, keepdims=True)
-        return (turned * known).astype(np.float16)[rows, columns].astype(np.float32)
-
-
-def steps_shown(values: np.ndarray, step: float, least: float) -> float:
-    """How far (n, 3) numbers keep to multiples of a step, against what chance gives: about 1."""
-    found = []
-    for own in values.T:
-        own = own[np.abs(own) >= least]
-        if len(own) >= 40:
-            found.append(abs(np.exp(2j * np.pi * own / step).mean()) * np.sqrt(len(own)))
-    return max(found, default=0.0)
-
-
-@pytest.mark.parametrize(
-    ("name", "step", "least"),
-    [("diffuse_normal", 2.0**-11, 0.5), ("specular_normal", 2.0**-11, 0.5), ("shape", 2.0**-17, 0)],
-)
-def test_the_rounding_of_stored_numbers_does_not_reveal_a_patchs_axes(
-    store: Store, name: str, step: float, least: float
-) -> None:
-    """Along the head's axes stored numbers are multiples of a float's step, along no others."""
-    bumpy = Bumpy(store.path, store.scans, store.fingerprint)
-    own, others, rng = [], [], np.random.default_rng(0)
-    for place in published_places(bumpy, SMALL.layout(bumpy), 0.2):
-        maps, _ = read_patch(bumpy, place, SIZE)
-        values = maps[name].astype(kind_of(name)).astype(float)
-        values = values[(values != 0).any(axis=2)]
-        values = values - values[0] if name == "shape" else values
-        own.append(steps_shown(values @ place.axes, step, least))
-        others.append(steps_shown(values @ Rotation.random(rng=rng).as_matrix(), step, least))
-    assert len(own) > 20
-    assert np.mean(own) < 1.5 * np.mean(others)
-
-
-def test_directions_and_shape_differ_from_the_stores_by_less_than_anybody_measures(
-    store: Store,
-) -> None:
-    bumpy = Bumpy(store.path, store.scans, store.fingerprint)
-    for place in published_places(bumpy, SMALL.layout(bumpy), 0.2):
-        here = slice(place.row, place.row + SIZE), slice(place.column, place.column + SIZE)
-        maps, seen = read_patch(bumpy, place, SIZE)
-        for name, stored, most in (
-            ("specular_normal", "specular_normal", 0.0003),
-            ("shape", "position", 0.00005),
-        ):
-            picture = maps[name][:, ::-1] if place.mirrored else maps[name]
-            inside = seen[:, ::-1] if place.mirrored else seen
-            picture, inside = (np.rot90(p, -place.quarter_turns) for p in (picture, inside))
-            found = picture[inside] @ place.axes
-            true = bumpy.read(place.scan, stored, *here)[inside].astype(float)
-            if name == "shape":
-                true = true - true.mean(axis=0)
-            assert np.abs(found - true).max() < most

@@ -15,7 +15,8 @@ from lightstage.formats.template import default_template_path
 from lightstage.rig import Rig, default_rig
 from processing.closest import ClosestPoints
 from processing.errors import ReconstructionError
-from processing.pipeline import PipelineConfig, run
+from processing.pipeline import run
+from processing.pipeline_config import PipelineConfig
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.fusion import compact
 from processing.reconstruction.occluders import apart, found_occluders, nothing_beside

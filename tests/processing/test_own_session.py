@@ -14,7 +14,8 @@ from lightstage.errors import LightstageError
 from lightstage.formats.files import read_json, write_json
 from lightstage.formats.template import default_template_path
 from processing.dataset import build_store, open_store
-from processing.pipeline import STAGES, PipelineConfig, run
+from processing.pipeline import STAGES, run
+from processing.pipeline_config import PipelineConfig
 from processing.records import MadeFrom, Record, read_made_from, read_records, write_records
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball

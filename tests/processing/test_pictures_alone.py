@@ -19,7 +19,8 @@ from lightstage.rig import Rig, default_rig
 from processing import pipeline
 from processing.errors import ProcessingError
 from processing.evaluation.folder import evaluate
-from processing.pipeline import PipelineConfig, run
+from processing.pipeline import run
+from processing.pipeline_config import PipelineConfig
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.stage import reconstruct_views
 from processing.registration.config import RegisterConfig

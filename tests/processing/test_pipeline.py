@@ -15,16 +15,18 @@ import pytest
 
 from lightstage.errors import ConfigError, FormatError
 from lightstage.faces import weights
+from lightstage.formats.config import all_fields, require_bounds
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import sha256_file
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
-from processing import bounds
+from processing.bounds import BOUNDS
 from processing.calibration.config import CalibrateConfig
 from processing.errors import ProcessingError, RegistrationError
 from processing.frames.read import Frames, read_frames, write_frames
 from processing.masks import foreground
-from processing.pipeline import PipelineConfig, read_config, run
+from processing.pipeline import run
+from processing.pipeline_config import PipelineConfig, read_config
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball
 
@@ -303,9 +305,9 @@ def test_settings_that_no_stage_can_work_with_are_refused_by_file_and_name(
 def test_the_defaults_are_possible_and_every_bound_is_of_a_setting() -> None:
     names = set()
     for config in (PipelineConfig(), CalibrateConfig()):
-        bounds.require_possible(config, "defaults")
-        names |= dict(bounds.all_settings(config)).keys()
-    assert bounds.BOUNDS.keys() <= names
+        require_bounds(config, "defaults", BOUNDS)
+        names |= dict(all_fields(config)).keys()
+    assert BOUNDS.keys() <= names
 
 
 def test_a_batch_refuses_a_table_of_its_own_that_is_none(

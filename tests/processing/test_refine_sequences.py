@@ -15,7 +15,8 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
 from lightstage.rig import Rig, default_rig
 from processing import pipeline
-from processing.pipeline import PipelineConfig, run
+from processing.pipeline import run
+from processing.pipeline_config import PipelineConfig
 from processing.refinement.config import RefineConfig
 from sim.light.world import World
 from sim.session import SessionConfig, truth_path, write_direct

@@ -15,7 +15,8 @@ import pytest
 
 from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path
-from processing.pipeline import PipelineConfig, read_job, run, why
+from processing.pipeline import read_job, run, why
+from processing.pipeline_config import PipelineConfig
 from processing.reachable import ROOT, reachable_files
 from processing.reconstruction.config import ReconstructConfig
 from processing.records import CODE

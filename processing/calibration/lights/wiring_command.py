@@ -39,9 +39,9 @@ def locate_lights_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """Which lamp each wire lights, from a mirror ball photographed light after light."""
-    from lightstage.formats.config import make_config, read_toml
+    from lightstage.formats.config import make_config, read_toml, require_bounds
     from lightstage.rig import load_rig, save_rig
-    from processing.bounds import require_possible
+    from processing.bounds import BOUNDS
     from processing.calibration.config import CalibrateConfig
     from processing.calibration.folder import read_source
     from processing.calibration.lights.wiring_shots import locate_lights
@@ -49,7 +49,7 @@ def locate_lights_command(
     values = {} if config is None else read_toml(config)
     where = "defaults" if config is None else config
     settings = make_config(CalibrateConfig, values, where)
-    require_possible(settings, where)
+    require_bounds(settings, where, BOUNDS)
     own = None if rig is None else load_rig(rig)
     source = read_source(lab)
     with progress_bar("mirror ball") as progress:

@@ -1,4 +1,4 @@
-"""What the tests of `export` share: the command in this process, a copy to spoil, a glTF read."""
+"""What tests of commands share: a command in this process, a copy to spoil, a glTF read."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ import pytest
 
 from learning.__main__ import main
 from lightstage.formats.processed import ProcessedFolder
+from lightstage.interrupts import handlers_kept
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
+    """Exit code of a command; the handlers of signals are as before."""
     monkeypatch.setattr(sys, "argv", ["lightstage-learning", *map(str, words)])
-    with pytest.raises(SystemExit) as stopped:
+    # A command that was interrupted leaves them ignored, as its process ends.
+    with handlers_kept(), pytest.raises(SystemExit) as stopped:
         main()
     return int(stopped.value.code or 0)
 

@@ -1,0 +1,43 @@
+"""A run's metrics: one JSON object a line, of steps and of scores."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lightstage.errors import FormatError
+from lightstage.formats.files import write_bytes
+from lightstage.formats.values import parse_json
+
+METRICS, RATE = "metrics.jsonl", "learning_rate"
+"""The file's name, and what every line of a step has among its losses."""
+
+
+def drop_lost_lines(path: Path, first: int) -> None:
+    """Leave out of a run's metrics what is of no step that its checkpoint has.
+
+    A training that was killed logged steps after its last checkpoint, which are taken again, and
+    may have left half a line, to which the next one would be joined.
+
+    Args:
+        path: of the metrics, one JSON object a line.
+        first: step with which the run is resumed.
+    """
+    if not path.exists():
+        return
+    lines = path.read_bytes().splitlines(keepends=True)
+    kept = [line for line in lines if _is_before(line, first)]
+    if len(kept) < len(lines):
+        write_bytes(path, b"".join(kept))
+
+
+def _is_before(line: bytes, first: int) -> bool:
+    """Whether a line of metrics is whole, and of a step before `first`, or of a score at it."""
+    if not line.endswith(b"\n"):
+        return False
+    try:
+        values = parse_json(line, METRICS)
+        step = int(values["step"])
+    except (FormatError, ValueError, TypeError, KeyError):
+        return False
+    # Step N is logged once it is taken, and the score of N steps under N too.
+    return step < first or (step == first and RATE not in values)
