@@ -26,7 +26,7 @@ from sim.scans.folder import load_subject_folder, save_subject
 from sim.scans.gltf import read_gltf
 from sim.scans.ict import ict_folder
 from sim.scans.ict_subject import ict_subject
-from sim.scans.match import SMOOTHING, carried, own_uv
+from sim.scans.match import SMOOTHING, carried, own_grid_uv
 from sim.scans.scan import WORLD_SHIFT_MM, ScanConfig, import_scan
 from sim.scans.subdivide import loop_subdivide
 
@@ -99,8 +99,8 @@ def closest(rng: np.random.Generator) -> Row:
     mesh = neutral_mesh()
     chosen = rng.choice(np.unique(mesh.triangles()), 200_000)
     points = mesh.vertices[chosen] + rng.normal(0, 4, (200_000, 3))
-    own_uv(points[:10])
-    ours, (_, off) = timed(lambda: own_uv(points))
+    own_grid_uv(points[:10])
+    ours, (_, off) = timed(lambda: own_grid_uv(points))
     corners = mesh.vertices[mesh.triangles()]
     plain, wanted = timed(lambda: [plain_distance(p, corners) for p in points[:PLAIN_POINTS]])
     plain *= len(points) / PLAIN_POINTS

@@ -13,14 +13,14 @@ from benchmarks.record import record
 from lightstage.formats.mesh import vertex_normals
 from sim.camera.chart import CHART_SRGB
 from sim.head.grid import COLUMNS, ROWS
-from sim.head.maps import surface_normals, to_tile
+from sim.head.maps import at_grid, surface_normals, to_tile
 from sim.head.mesh import neutral_mesh
 from sim.head.modes import EXPRESSIONS
 from sim.people.person import person_expressions, person_skin
 from sim.people.traits import Traits
 from sim.skin.normals import bend_normals
 from sim.skin.paint import make_skin, random_complexion
-from sim.skin.parts import face_from, to_tile_at
+from sim.skin.parts import face_from
 from sim.skin.pigments import PigmentConfig, lab, paint_pigments, skin_rgb, tone_angle_deg
 
 SIZES = (1536, 3072, 6144)
@@ -162,7 +162,7 @@ def close_up(rows: int, texel_mm: float) -> tuple[np.ndarray, np.ndarray, np.nda
     u = (np.arange(side) + round(0.62 * columns)) / columns
     v = 1 - (np.arange(side) + round(0.45 * rows)) / rows
     uv = np.stack(np.meshgrid(u, v), axis=-1).astype(np.float32)
-    places = to_tile_at(neutral_mesh().vertices, (1 - uv[..., 1]) * ROWS, uv[..., 0] * COLUMNS)
+    places = at_grid(neutral_mesh().vertices, (1 - uv[..., 1]) * ROWS, uv[..., 0] * COLUMNS)
     face = face_from(places, uv, np.ones((side, side), bool), SEED)
     rng = np.random.default_rng(SEED)
     height = make_skin(random_complexion(rng, WHO), face, rng).height_mm("smile").astype(float)

@@ -2,22 +2,46 @@
 
 from __future__ import annotations
 
+import functools
+
 import cv2
 import numpy as np
 
 from lightstage.formats.mesh import Mesh, vertex_normals
 from sim.head.grid import COLUMNS, ROWS
-from sim.head.mesh import grid_vertices, regions
+from sim.head.mesh import grid_places, grid_vertices, neutral_mesh, regions
+from sim.light.texture import raster_rows
 from sim.skin.normals import bend_normals
 
 NORMAL_STRIP_TEXELS = 1 << 20
 
 
-def to_tile(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """Bilinear interpolation of vertex values at the tile's texel centres.
+def over_grid(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """Bilinear interpolation of vertex values on a picture over which the grid is spread evenly.
 
-    The tile is the vertex grid itself, so no rasteriser is needed. Within a quad this differs from
-    the two triangles by less than the quad's warp.
+    Args:
+        values: (n,) or (n, c), a value a vertex.
+        rows: of the picture.
+        columns: of the picture.
+
+    Returns:
+        (rows, columns) or (rows, columns, c) float32.
+    """
+    row, column = (np.arange(rows) + 0.5) / rows, (np.arange(columns) + 0.5) / columns
+    x, y = np.meshgrid((column * COLUMNS).astype(np.float32), (row * ROWS).astype(np.float32))
+    return at_grid(values, y, x)
+
+
+def at_grid(values: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Bilinear interpolation of vertex values (n[, c]) at (h, w) places of the grid: (h, w[, c])."""
+    grid = np.asarray(values)[grid_vertices()].astype(np.float32)
+    return cv2.remap(grid, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def to_tile(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """Interpolation of vertex values at the tile's texel centres.
+
+    Within a quad this differs from the two triangles by less than the quad's warp.
 
     Args:
         values: (n,) or (n, c), a value a vertex.
@@ -32,18 +56,42 @@ def to_tile(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
 
 def to_window(values: np.ndarray, rows: int, columns: int, first: int, last: int) -> np.ndarray:
     """Rows `first` to `last` of `to_tile`, of its shapes; rows beyond the tile repeat its edge."""
-    grid = np.asarray(values)[grid_vertices()].astype(np.float32)
-    row, column = (np.arange(first, last) + 0.5) / rows, (np.arange(columns) + 0.5) / columns
-    x, y = np.meshgrid((column * COLUMNS).astype(np.float32), (row * ROWS).astype(np.float32))
-    return cv2.remap(grid, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return at_grid(values, *grid_window(rows, columns, first, last))
 
 
-def region_map(name: str, rows: int, columns: int) -> np.ndarray:
-    """(rows, columns) float32 membership 0..1 of a region, a linear step one cell wide."""
-    count = int(grid_vertices().max()) + 1
-    inside = np.zeros(count, np.float32)
+@functools.lru_cache(maxsize=2)
+def grid_window(rows: int, columns: int, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column of the vertex grid at texels of rows `first` to `last` of the tile.
+
+    Args:
+        rows: of the tile.
+        columns: of the tile.
+        first: row.
+        last: row, not among them.
+
+    Returns:
+        (last - first, columns) float32 each; rows beyond the tile repeat its edge.
+    """
+    low, high = max(first, 0), min(last, rows)
+    mesh = neutral_mesh()
+    corners = mesh.triangle_uvs()
+    face, weights = raster_rows(mesh, rows, columns, low, high)
+    here = grid_places()[corners[face]]
+    # The tile is full: a texel's centre is on a triangle, or on an edge but for rounding.
+    place = np.einsum("hwk,hwkc->hwc", weights, here)
+    found = ((1 - place[..., 1]) * ROWS, place[..., 0] * COLUMNS)
+    beyond = ((low - first, last - high), (0, 0))
+    out = tuple(np.pad(image, beyond, mode="edge").astype(np.float32) for image in found)
+    for image in out:
+        image.flags.writeable = False
+    return out[0], out[1]
+
+
+def region_share(name: str) -> np.ndarray:
+    """(n,) float32 1 for the vertices of a region: in between a linear step one cell wide."""
+    inside = np.zeros(int(grid_vertices().max()) + 1, np.float32)
     inside[regions()[name]] = 1.0
-    return to_tile(inside, rows, columns)
+    return inside
 
 
 def surface_normals(mesh: Mesh, height_mm: np.ndarray) -> np.ndarray:

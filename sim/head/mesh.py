@@ -24,6 +24,7 @@ from sim.head.grid import (
     head_rays,
     smoothstep,
 )
+from sim.head.layout import layout
 from sim.head.shape import cast
 
 HALF = COLUMNS // 2
@@ -82,10 +83,17 @@ def neutral_mesh() -> Mesh:
     thick[index] = HAIR_MM * share
     vertices = vertices + thick[:, None] * 0.5 * (normals + normals[other] * (-1, 1, 1))
     flat = np.arange((ROWS + 1) * (COLUMNS + 1)).reshape(ROWS + 1, COLUMNS + 1)
+    return Mesh(vertices, quads, layout().reshape(-1, 2), _quads(flat))
+
+
+def grid_places() -> np.ndarray:
+    """(k, 2) for each UV of `neutral_mesh` its point's column and row in the vertex grid, 0..1.
+
+    The row counts from below, so that these are UV of a tile over which the grid is spread evenly.
+    """
     u = np.arange(COLUMNS + 1) / COLUMNS
     v = 1 - np.arange(ROWS + 1) / ROWS
-    uvs = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    return Mesh(vertices, quads, uvs, _quads(flat))
+    return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
 
 
 def _quads(index: np.ndarray) -> np.ndarray:

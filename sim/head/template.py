@@ -8,7 +8,7 @@ import numpy as np
 
 from lightstage.formats.png import write_png
 from lightstage.formats.template import Modes, Template, save_template
-from sim.head.maps import region_map
+from sim.head.maps import region_share, to_tile
 from sim.head.mesh import landmarks, neutral_mesh, regions
 from sim.head.modes import EXPRESSIONS, expression_modes, identity_modes
 
@@ -47,7 +47,7 @@ def write_template(out: Path) -> Path:
         `out`.
     """
     save_template(build_template(), out)
-    skin = region_map("skin", MAP_ROWS, MAP_COLUMNS) + region_map("lips", MAP_ROWS, MAP_COLUMNS)
+    skin = to_tile(region_share("skin") + region_share("lips"), MAP_ROWS, MAP_COLUMNS)
     write_png(out / "maps" / "skin.png", np.where(skin > 0.5, 255, 0).astype(np.uint8))
     return out
 
@@ -56,7 +56,7 @@ def _blend(values: dict[str, float]) -> np.ndarray:
     total = np.zeros((MAP_ROWS, MAP_COLUMNS))
     weight = np.full((MAP_ROWS, MAP_COLUMNS), 1e-6)
     for name, value in values.items():
-        share = region_map(name, MAP_ROWS, MAP_COLUMNS)
+        share = to_tile(region_share(name), MAP_ROWS, MAP_COLUMNS)
         total += share * value
         weight += share
     return (total / weight).astype(np.float32)

@@ -50,12 +50,21 @@ def raster_uv(mesh: Mesh, rows: int, columns: int) -> tuple[np.ndarray, np.ndarr
         (rows, columns) int32 triangle index, -1 where none, and (rows, columns, 3) float32
         barycentric weights. Where triangles overlap the last one stays.
     """
+    return raster_rows(mesh, rows, columns, 0, rows)
+
+
+def raster_rows(
+    mesh: Mesh, rows: int, columns: int, first: int, last: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows `first` to `last` of what `raster_uv` returns."""
     assert mesh.uvs is not None
     corners = mesh.uvs[mesh.triangle_uvs()]
-    corners = np.stack([corners[..., 0] * columns, (1.0 - corners[..., 1]) * rows], axis=-1)
-    face = np.full((rows, columns), -1, np.int32)
-    weights = np.zeros((rows, columns, 3), np.float32)
-    _raster(corners, rows, columns, face, weights)
+    down = (1.0 - corners[..., 1]) * rows - first
+    corners = np.stack([corners[..., 0] * columns, down], axis=-1)
+    height = last - first
+    face = np.full((height, columns), -1, np.int32)
+    weights = np.zeros((height, columns, 3), np.float32)
+    _raster(corners, height, columns, face, weights)
     return face, weights
 
 

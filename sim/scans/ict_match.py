@@ -11,7 +11,7 @@ from sim.light.texture import raster_uv, texture_of
 from sim.scans.ict import IctModel
 from sim.scans.ict_tile import BACK, FACE, parts_of
 from sim.scans.lps import head_from_landmarks
-from sim.scans.match import carried, own_uv
+from sim.scans.match import carried, own_grid_uv
 
 # ICT's right and left ear lie in these parts of the face's own tile (u below, v from and to).
 _EAR_TILE = (0.12, 0.44, 0.72)
@@ -28,8 +28,8 @@ def head_from_ict(vertices_mm: np.ndarray, model: IctModel) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=2)
-def own_uv_of(model: IctModel, rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """For each texel of the subject's texture its place in our UV, found on the mean face.
+def own_grid_uv_of(model: IctModel, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """For each texel of the subject's texture its place in our vertex grid, found on the mean face.
 
     Args:
         model: the model.
@@ -50,7 +50,7 @@ def own_uv_of(model: IctModel, rows: int) -> tuple[np.ndarray, np.ndarray]:
     there = carried(mesh.vertices, everything[model.landmarks], anchors(model, everything))
     places = texture_of(there, mesh.triangles(), face, weights)
     out = np.zeros((*face.shape, 2), np.float32)
-    out[covered] = own_uv(places[covered], with_eyes=False)[0]
+    out[covered] = own_grid_uv(places[covered], with_eyes=False)[0]
     return out, covered
 
 

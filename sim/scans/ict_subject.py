@@ -16,7 +16,7 @@ from sim.people.person import require_rows, sitting
 from sim.people.subject import Subject
 from sim.people.traits import Traits, random_traits
 from sim.scans.ict import SOURCE, IctModel, load_ict
-from sim.scans.ict_match import head_from_ict, own_uv_of
+from sim.scans.ict_match import head_from_ict, own_grid_uv_of
 from sim.scans.ict_paint import paint_inner_parts
 from sim.scans.ict_tile import FACE, LEFT_EYE, RIGHT_EYE, parts_of
 from sim.skin.normals import bend_normals
@@ -98,11 +98,11 @@ def ict_subject(
 
     face, weights = raster_uv(mesh, texture_rows, texture_rows * 2 // 3)
     triangles = mesh.triangles()
-    own_uv, on_skin = own_uv_of(model, texture_rows)
+    own_grid_uv, on_skin = own_grid_uv_of(model, texture_rows)
     positions = texture_of(resting.vertices, triangles, face, weights)
     rng = np.random.default_rng([seed, 1])
     complexion = random_complexion(rng, drawn.traits)
-    painted = face_from(positions, own_uv, on_skin, int(rng.integers(2**20)))
+    painted = face_from(positions, own_grid_uv, on_skin, int(rng.integers(2**20)))
     skin = make_skin(complexion, painted, rng)
     inner = paint_inner_parts(skin, positions, face, parts, resting, complexion)
     height = np.where(on_skin, skin.height_mm(expression), 0).astype(np.float32)

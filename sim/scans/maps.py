@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from lightstage.formats.mesh import Mesh, vertex_normals
 from sim.errors import SimError
-from sim.head.maps import region_map
+from sim.head.maps import over_grid, region_share
 from sim.light.texture import raster_uv, sample, texture_of
 from sim.scans.lps import (
     DETAIL_TEXEL_MM,
@@ -19,7 +19,7 @@ from sim.scans.lps import (
     skin_specular,
     world_normals,
 )
-from sim.scans.match import carried, own_uv
+from sim.scans.match import carried, own_grid_uv
 from sim.scans.scan_file import Picture, ScanFile
 from sim.skin.normals import bend_normals
 
@@ -155,8 +155,8 @@ def _skin(
         return covered
     values = np.concatenate([carried(head_mm, marks_mm), head_mm[:, 1:2]], axis=1)
     places = texture_of(values, mesh.triangles(), face, weights)[covered]
-    uv, off_mm = own_uv(places[:, :3])
-    share = sample(region_map("skin", 768, 512), uv) + sample(region_map("lips", 768, 512), uv)
+    uv, off_mm = own_grid_uv(places[:, :3])
+    share = sample(over_grid(region_share("skin") + region_share("lips"), 768, 512), uv)
     above = places[:, 3] > np.nanmin(marks_mm[:, 1]) - NECK_MM
     out = np.zeros(face.shape, bool)
     out[covered] = (share > 0.5) & (off_mm < FARTHEST_MM) & above

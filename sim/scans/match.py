@@ -13,7 +13,7 @@ import open3d
 from scipy.interpolate import RBFInterpolator
 
 from sim.errors import SimError
-from sim.head.mesh import landmarks, neutral_mesh, regions
+from sim.head.mesh import grid_places, landmarks, neutral_mesh, regions
 
 FEWEST_LANDMARKS = 8
 """Below this a face is not held in all directions."""
@@ -61,8 +61,8 @@ def carried(
     return np.asarray(warp(points_mm))
 
 
-def own_uv(carried_mm: np.ndarray, with_eyes: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """Places of our UV that are closest to carried points.
+def own_grid_uv(carried_mm: np.ndarray, with_eyes: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """Places of our vertex grid that are closest to carried points.
 
     Args:
         carried_mm: (n, 3) from `carried`.
@@ -70,11 +70,11 @@ def own_uv(carried_mm: np.ndarray, with_eyes: bool = True) -> tuple[np.ndarray, 
             parts of their own, so that lids stay lids.
 
     Returns:
-        (n, 2) float64 UV in 0..1, and (n,) how far the points are off our head, mm.
+        (n, 2) float64, as `sim.head.mesh.grid_places` has them, and (n,) how far the points are off our head, mm.
     """
     mesh = neutral_mesh()
     scene, triangles = _own_scene(with_eyes)
-    uvs = np.asarray(mesh.uvs)[mesh.triangle_uvs()[triangles]]
+    uvs = grid_places()[mesh.triangle_uvs()[triangles]]
     uv, off = np.empty((len(carried_mm), 2)), np.empty(len(carried_mm))
     for start in range(0, len(carried_mm), CHUNK):
         part = slice(start, start + CHUNK)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from sim.head.grid import smoothstep
-from sim.head.maps import to_tile
+from sim.head.maps import over_grid
 from sim.head.mesh import neutral_mesh
 from sim.skin.complexion import Complexion
 from sim.skin.noise import spots
@@ -43,7 +43,7 @@ class Marks:
 
 def person_marks(c: Complexion, rng: np.random.Generator) -> Marks:
     """Draw a person's marks; they are at the same places at every texture size."""
-    points = to_tile(neutral_mesh().vertices, PLACE_ROWS, PLACE_COLUMNS)
+    points = over_grid(neutral_mesh().vertices, PLACE_ROWS, PLACE_COLUMNS)
     masks = place_masks()
     front = (masks["skin"] > 0.99) & (points[..., 2] > -20)
     upper = front & (points[..., 1] > -110)

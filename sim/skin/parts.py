@@ -23,12 +23,12 @@ from sim.head.grid import (
     face_azimuth_deg,
     smoothstep,
 )
-from sim.head.maps import to_window
-from sim.head.mesh import grid_vertices, neutral_mesh
+from sim.head.maps import at_grid, grid_window, to_window
+from sim.head.mesh import neutral_mesh
 from sim.skin.noise import cell_noise, octaves
-from sim.skin.places import PLACE_COLUMNS, PLACE_ROWS, canonical, grid_of_uv, place_masks
+from sim.skin.places import PLACE_COLUMNS, PLACE_ROWS, canonical, row_and_column, place_masks
 
-TILE_HEIGHT_MM = 310.0
+TILE_HEIGHT_MM = 400.0
 """About the height of the face's part of our tile, were all of it as dense."""
 STRIP_TEXELS = 1 << 20
 """Texels of one strip; a map of them takes 4 MB."""
@@ -45,8 +45,8 @@ class Face:
         texel_mm: size of a texel on the face.
         position: (rows, columns, 3) float32 mm in the head frame: noise lives on it, so that pores
             and hairs have their size in mm on that surface. None: our own tile's neutral head.
-        tile_uv: (rows, columns, 2) float32 place in our own UV: masks and all drawn things are
-            looked up there. None: the texture is our own tile.
+        grid_uv: (rows, columns, 2) float32 place in our vertex grid (`grid_places`): masks and all
+            drawn things are looked up there. None: the texture is our own tile.
         covered: (rows, columns) bool, texels on the head. None: all.
     """
 
@@ -55,7 +55,7 @@ class Face:
     seed: int
     texel_mm: float
     position: np.ndarray | None = None
-    tile_uv: np.ndarray | None = None
+    grid_uv: np.ndarray | None = None
     covered: np.ndarray | None = None
 
     def strips(self) -> Iterator[Patch]:
@@ -90,16 +90,12 @@ class Patch:
         self.face = face
         self.rows = slice(first, last)
         self.position = face.positions(first, last, 1)
-        if face.tile_uv is None:
-            row = ((np.arange(first, last) + 0.5) / face.rows * ROWS).astype(np.float32)
-            column = ((np.arange(face.columns) + 0.5) / face.columns * COLUMNS).astype(np.float32)
-            shape = (last - first, face.columns)
-            self.row = np.ascontiguousarray(np.broadcast_to(row[:, None], shape))
-            self.column = np.ascontiguousarray(np.broadcast_to(column[None], shape))
+        if face.grid_uv is None:
+            self.row, self.column = grid_window(face.rows, face.columns, first, last)
             self.reference = self.position
         else:
-            self.row, self.column = grid_of_uv(face.tile_uv[first:last])
-            self.reference = to_tile_at(neutral_mesh().vertices, self.row, self.column)
+            self.row, self.column = row_and_column(face.grid_uv[first:last])
+            self.reference = at_grid(neutral_mesh().vertices, self.row, self.column)
         self._place: np.ndarray | None = None
         self._masks: dict[str, np.ndarray] = {}
 
@@ -220,33 +216,28 @@ class Patch:
         return cv2.remap(found, map_x, map_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
 
-def to_tile_at(values: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Bilinear interpolation of vertex values (n, c) at places of the grid: (h, w, c) float32."""
-    grid = np.asarray(values)[grid_vertices()].astype(np.float32)
-    return cv2.remap(grid, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-
-
 def face_of(rows: int, columns: int, seed: int) -> Face:
     """The base head on its own tile of this size; `seed` chooses the noise."""
     return Face(rows, columns, seed, TILE_HEIGHT_MM / rows)
 
 
 def face_from(
-    positions_mm: np.ndarray, tile_uv: np.ndarray, covered: np.ndarray, seed: int
+    positions_mm: np.ndarray, grid_uv: np.ndarray, covered: np.ndarray, seed: int
 ) -> Face:
     """A face on any head's texture, so that our skin can be painted on it.
 
     Two things are needed for each texel: where it is on the head that is to be painted, and
     which place of our own head that is. The first carries noise (pores stay round and of their
     size in mm), the second all masks and drawn things (lips are on the lips, hair on the scalp).
-    A registration by landmarks gives the second: the place of our UV of the nearest point of our
+    A registration by landmarks gives the second: the place in our grid of the nearest point of our
     base head fitted to it. `sim.skin.paint.make_skin` paints the result; for normals see
     `sim.skin.relief.bend_normals`.
 
     Args:
         positions_mm: (rows, columns, 3), in our head frame, mm (face toward +z, y up); the neutral
             expression for every expression of a person, so that the skin stays on the face.
-        tile_uv: (rows, columns, 2), the place in our UV (0..1, v upward) of the same point.
+        grid_uv: (rows, columns, 2), the place of the same point in our vertex grid, as
+            `sim.head.mesh.grid_places` has them.
         covered: (rows, columns) bool, texels that are on the head; the others are filled from the
             nearest covered texel and may hold anything, NaN too.
         seed: chooses the noise.
@@ -256,9 +247,9 @@ def face_from(
 
     Raises:
         SimError: shapes differ, nothing is covered, or a covered texel is not finite or is
-            outside our UV by more than a thousandth.
+            outside the grid by more than a thousandth.
     """
-    positions, places = np.asarray(positions_mm, np.float32), np.asarray(tile_uv, np.float32)
+    positions, places = np.asarray(positions_mm, np.float32), np.asarray(grid_uv, np.float32)
     mask = np.asarray(covered, bool)
     shapes = (positions.shape, places.shape)
     if mask.ndim != 2 or shapes != ((*mask.shape, 3), (*mask.shape, 2)):
@@ -272,7 +263,7 @@ def face_from(
     if not (np.isfinite(positions[mask]).all() and np.isfinite(places[mask]).all()):
         raise SimError("face", found="NaN in a covered texel", expected="finite places")
     if places[mask].min() < -1e-3 or places[mask].max() > 1.001:
-        raise SimError("face", field="tile_uv", found="outside 0..1", expected="places of our UV")
+        raise SimError("face", field="grid_uv", found="outside 0..1", expected="places of our vertex grid")
     if not mask.all():
         nearest = ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
         positions, places = positions[tuple(nearest)], places[tuple(nearest)]

@@ -1,4 +1,4 @@
-"""Places on the head as soft masks over our own tile: what the skin's painter paints by.
+"""Places on the head as soft masks over our vertex grid: what the skin's painter paints by.
 
 Places are given in mm of one fixed face. Another base head is carried onto that face by its
 landmarks (`canonical`), so the masks stay where they belong when the base head changes.
@@ -11,7 +11,7 @@ import functools
 import numpy as np
 
 from sim.head.grid import COLUMNS, ROWS, smoothstep
-from sim.head.maps import region_map, to_tile
+from sim.head.maps import over_grid, region_share
 from sim.head.mesh import hairline_mm, landmarks, neutral_mesh
 
 PLACE_ROWS, PLACE_COLUMNS = 768, 512
@@ -69,11 +69,11 @@ def _bent(values: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndar
 
 @functools.cache
 def place_masks() -> dict[str, np.ndarray]:
-    """Soft masks 0..1 by name, each (PLACE_ROWS, PLACE_COLUMNS) float32 over our tile.
+    """Soft masks 0..1 by name, each (PLACE_ROWS, PLACE_COLUMNS) float32 over the vertex grid.
 
     ``hairline`` is no mask but how far behind the hairline a place is, mm.
     """
-    points = to_tile(neutral_mesh().vertices, PLACE_ROWS, PLACE_COLUMNS)
+    points = over_grid(neutral_mesh().vertices, PLACE_ROWS, PLACE_COLUMNS)
     p = canonical(points)
     x, y, z = p[..., 0], p[..., 1], p[..., 2]
 
@@ -81,7 +81,10 @@ def place_masks() -> dict[str, np.ndarray]:
         away = (p - np.array(centre, np.float32)) / np.array(spread, np.float32)
         return np.asarray(np.exp(-0.5 * (away**2).sum(axis=-1)))
 
-    lips = region_map("lips", PLACE_ROWS, PLACE_COLUMNS)
+    def region(name: str) -> np.ndarray:
+        return over_grid(region_share(name), PLACE_ROWS, PLACE_COLUMNS)
+
+    lips = region("lips")
     tip = at((0, -42, 110), (11, 10, 14))
     wings = at((14, -47, 97), (6, 8, 12))
     nose = np.maximum(tip, 0.85 * wings)
@@ -102,10 +105,10 @@ def place_masks() -> dict[str, np.ndarray]:
     beard = np.clip(np.maximum(growth, 0.8 * side), 0, 1) * (1 - lips)
     beard = beard * (1 - at((0, -50, 100), (16, 5, 20)))
     masks = {
-        "skin": region_map("skin", PLACE_ROWS, PLACE_COLUMNS),
+        "skin": region("skin"),
         "lips": lips,
-        "eyes": region_map("eyes", PLACE_ROWS, PLACE_COLUMNS),
-        "ears": region_map("ears", PLACE_ROWS, PLACE_COLUMNS),
+        "eyes": region("eyes"),
+        "ears": region("ears"),
         "cheeks": at((42, -36, 70), (15, 13, 28)),
         "cheek_sides": at((56, -50, 45), (14, 22, 26)),
         "nose": nose,
@@ -136,7 +139,7 @@ def place_masks() -> dict[str, np.ndarray]:
     return {name: np.asarray(value, np.float32) for name, value in masks.items()}
 
 
-def grid_of_uv(tile_uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column on the vertex grid, float32 each, of places (..., 2) of our UV."""
-    row = (1 - tile_uv[..., 1]) * ROWS
-    return row.astype(np.float32), (tile_uv[..., 0] * COLUMNS).astype(np.float32)
+def row_and_column(grid_uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column of the vertex grid, float32 each, of places (..., 2) of `grid_places`."""
+    row = (1 - grid_uv[..., 1]) * ROWS
+    return row.astype(np.float32), (grid_uv[..., 0] * COLUMNS).astype(np.float32)

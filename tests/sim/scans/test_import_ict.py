@@ -17,7 +17,7 @@ from sim.light.texture import raster_uv
 from sim.people.subjects import load_subject
 from sim.scans.checks import outward_share
 from sim.scans.ict import load_ict
-from sim.scans.ict_match import head_from_ict, own_uv_of
+from sim.scans.ict_match import head_from_ict, own_grid_uv_of
 from sim.scans.ict_subject import BLENDS, blend, ict_subject, over_eyeballs
 from sim.scans.ict_tile import BACK, EYE_SOCKETS, FACE, LEFT_EYE, MOUTH_SOCKET, RIGHT_EYE, parts_of
 
@@ -188,7 +188,7 @@ def mean_mesh(model) -> Mesh:
 
 
 def test_each_places_skin_is_that_of_the_same_place_on_our_head(model):
-    uv, covered = own_uv_of(model, ROWS)
+    uv, covered = own_grid_uv_of(model, ROWS)
     parts = parts_of(model)
     face, _ = raster_uv(mean_mesh(model), ROWS, ROWS * 2 // 3)
     skin = np.isin(parts.triangle_parts(), (FACE, BACK))[np.maximum(face, 0)] & (face >= 0)

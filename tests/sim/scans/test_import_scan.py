@@ -19,7 +19,7 @@ from sim.head.mesh import landmarks, neutral_mesh, regions
 from sim.light.texture import raster_uv
 from sim.scans.checks import CheckConfig
 from sim.scans.lps import load_scan
-from sim.scans.match import carried, own_uv
+from sim.scans.match import carried, own_grid_uv
 from sim.scans.scan import WORLD_SHIFT_MM, ScanConfig, import_scan
 
 ROWS = 96
@@ -238,7 +238,7 @@ def test_our_own_head_corresponds_to_itself():
     chosen = np.random.default_rng(0).choice(np.unique(mesh.faces[mesh.faces >= 0]), 2000)
     there = carried(mesh.vertices[chosen], marks)
     np.testing.assert_allclose(there, mesh.vertices[chosen], atol=0.05)
-    uv, off = own_uv(mesh.vertices[chosen])
+    uv, off = own_grid_uv(mesh.vertices[chosen])
     assert off.max() < 1e-3
     corners, uvs = mesh.triangles(), mesh.triangle_uvs()
     own = np.full((len(mesh.vertices), 2), np.nan)
@@ -246,8 +246,8 @@ def test_our_own_head_corresponds_to_itself():
     # At the seam behind the head a vertex has two places.
     apart = np.linalg.norm(uv - own[chosen], axis=1)
     assert np.mean(apart < 0.01) > 0.97
-    kept, _ = own_uv(mesh.vertices[regions()["eyes"]], with_eyes=False)
-    with_eyes, _ = own_uv(mesh.vertices[regions()["eyes"]])
+    kept, _ = own_grid_uv(mesh.vertices[regions()["eyes"]], with_eyes=False)
+    with_eyes, _ = own_grid_uv(mesh.vertices[regions()["eyes"]])
     assert np.abs(kept - with_eyes).max() > 1e-3
 
 

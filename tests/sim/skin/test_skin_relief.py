@@ -11,7 +11,7 @@ from lightstage.formats.mesh import vertex_normals
 from lightstage.formats.processed import texel_uv
 from sim.errors import SimError
 from sim.head.grid import COLUMNS, ROWS
-from sim.head.maps import surface_normals, to_tile
+from sim.head.maps import at_grid, surface_normals, to_tile
 from sim.head.mesh import landmarks, neutral_mesh
 from sim.people.person import parametric_subject, person_expressions, person_skin
 from sim.people.traits import LOOKS, Traits
@@ -20,7 +20,7 @@ from sim.skin.creases import Line, crease_chart, crease_depths, person_lines
 from sim.skin.noise import cell_edges, spots
 from sim.skin.normals import bend_normals
 from sim.skin.paint import make_skin, random_complexion
-from sim.skin.parts import Face, Patch, face_from, face_of, to_tile_at
+from sim.skin.parts import Face, Patch, face_from, face_of
 
 PERSON = Traits("female", 30.0, 3)
 
@@ -51,7 +51,7 @@ def close_up(rows: int, top: float, left: float, side: int) -> Face:
     """A square of texels of our tile of so many rows, as a texture of its own."""
     u, v = (np.arange(side) + left * rows * 2 / 3) / (rows * 2 / 3), np.arange(side) + top * rows
     uv = np.stack(np.meshgrid(u, 1 - v / rows), axis=-1)
-    positions = to_tile_at(
+    positions = at_grid(
         neutral_mesh().vertices,
         ((1 - uv[..., 1]) * ROWS).astype(np.float32),
         (uv[..., 0] * COLUMNS).astype(np.float32),
