@@ -1,4 +1,4 @@
-"""Where the head lies in its UV tile: the face in front, cuts behind (made by `sim.head.unwrap`)."""
+"""Where the head lies in its UV tile: the face in front, cuts behind (see `sim.head.unwrap`)."""
 
 from __future__ import annotations
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import functools
 
-import cv2
 import numpy as np
 
 from lightstage.formats.mesh import Mesh, vertex_normals
 from sim.head.grid import COLUMNS, ROWS
 from sim.head.mesh import grid_places, grid_vertices, neutral_mesh, regions
-from sim.light.texture import raster_rows
+from sim.light.texture import raster_rows, sample
 from sim.skin.normals import bend_normals
 
 NORMAL_STRIP_TEXELS = 1 << 20
@@ -33,9 +32,15 @@ def over_grid(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
 
 
 def at_grid(values: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Bilinear interpolation of vertex values (n[, c]) at (h, w) places of the grid: (h, w[, c])."""
-    grid = np.asarray(values)[grid_vertices()].astype(np.float32)
-    return cv2.remap(grid, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    """Bilinear interpolation of vertex values (n[, c]) at places of the grid: (h, w[, c]).
+
+    OpenCV's `remap` rounds places to 1/32 of a cell: a cell of the largest textures has more texels.
+    """
+    grid = np.asarray(values)[grid_vertices()]
+    across = (column.astype(np.float64) + 0.5) / (COLUMNS + 1)
+    up = 1 - (row.astype(np.float64) + 0.5) / (ROWS + 1)
+    found = sample(grid, np.stack([across, up], axis=-1).reshape(-1, 2))
+    return found.reshape(*row.shape, *grid.shape[2:])
 
 
 def to_tile(values: np.ndarray, rows: int, columns: int) -> np.ndarray:

@@ -25,7 +25,7 @@ _TRANSLUCENCY = {"skin": 0.6, "lips": 0.8, "eyes": 0.1, "ears": 1.0, "hair": 0.3
 def build_template() -> Template:
     """The template, made anew from the parametric head."""
     return Template(
-        name="lightstage parametric head",
+        name="lightstage parametric head, layout 2",
         mesh=neutral_mesh(),
         landmarks=landmarks(),
         regions=regions(),

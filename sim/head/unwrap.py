@@ -3,8 +3,8 @@
 The vertex grid's borders are the tile's sides: the seam down the back is its left and right side,
 the slit of the scalp its upper one, the neck's border its lower one. Points slide along the sides,
 so that the tile is full, and no triangle is turned over, so that none overlap. Within these bounds
-the symmetric Dirichlet energy of all triangles [Smith2015], which rises with every stretch and every
-shrinking, is made as small as it can be by reweighted least squares [Rabinovich2017].
+the symmetric Dirichlet energy of all triangles [Smith2015], which rises with every stretch and with
+every shrinking, is made as small as it can be by reweighted least squares [Rabinovich2017].
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import scipy.sparse as sparse
 from scipy.sparse.linalg import spsolve
 
 from lightstage.formats.files import atomic_path
-from sim.head.grid import COLUMNS, ROWS, smoothstep
+from sim.head.grid import COLUMNS, smoothstep
 from sim.head.layout import LAYOUT_PATH
 from sim.head.mesh import HALF, grid_vertices, neutral_mesh, regions
 
@@ -86,20 +86,21 @@ def unwrapped(
     """Lay out one side of a head that is alike on both.
 
     Args:
-        points_mm: (rows + 1, columns / 2 + 1, 3) of the left side, from the middle to the seam.
+        points_mm: (h, w, 3) grid of the left side, from the middle to the seam.
         triangles: (t, 3) indices of these points, row by row; seen from outside, anticlockwise in
             a texture whose v rises.
         weight: (t,) how much the stretch of a triangle counts, beside its area.
         size: (t,) length in the texture of a millimetre there, beside that of others.
 
     Returns:
-        (rows + 1, columns + 1, 2) UV of both sides, 0..1.
+        (h, 2 w - 1, 2) UV of both sides, 0..1.
     """
     gradient, area = _gradients(points_mm.reshape(-1, 3), triangles)
-    count = points_mm.shape[0] * points_mm.shape[1]
-    row, column = np.divmod(np.arange(count), points_mm.shape[1])
-    place = np.concatenate([column / HALF * WIDTH / 2, (1 - row / ROWS) * HEIGHT])
-    free = np.concatenate([(column > 0) & (column < HALF), (row > 0) & (row < ROWS)])
+    last_row, last_column = points_mm.shape[0] - 1, points_mm.shape[1] - 1
+    count = (last_row + 1) * (last_column + 1)
+    row, column = np.divmod(np.arange(count), last_column + 1)
+    place = np.concatenate([column / last_column * WIDTH / 2, (1 - row / last_row) * HEIGHT])
+    free = np.concatenate([(column > 0) & (column < last_column), (row > 0) & (row < last_row)])
     mass = weight * area
     energy = np.inf
     for _ in range(ROUNDS):
@@ -113,7 +114,9 @@ def unwrapped(
     side = np.stack([place[:count] / WIDTH, place[count:] / HEIGHT], axis=-1)
     side = side.reshape(*points_mm.shape[:2], 2)
     other = side[:, :0:-1] * (-1, 1)
-    return np.concatenate([other, side], axis=1) + (0.5, 0.0)
+    uv: np.ndarray = np.concatenate([other, side], axis=1)
+    uv[..., 0] += 0.5
+    return uv
 
 
 def _gradients(points: np.ndarray, triangles: np.ndarray) -> tuple[sparse.csr_matrix, np.ndarray]:
@@ -170,8 +173,8 @@ def _step(
 ) -> np.ndarray:
     """Change of the places: to the least squares whose slope here is the energy's own.
 
-    W (J - R) with R the nearest rotation and W = U diag(sqrt((s - s^-3) / (s - 1))) U^T, J = U s V^T
-    [Rabinovich2017].
+    They are those of W (J - R) with R the nearest rotation, J = U s V^T and
+    W = U diag(sqrt((s - s^-3) / (s - 1))) U^T [Rabinovich2017].
     """
     u, s, vt = np.linalg.svd(jacobian)
     rotation = u @ vt

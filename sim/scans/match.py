@@ -70,7 +70,8 @@ def own_grid_uv(carried_mm: np.ndarray, with_eyes: bool = True) -> tuple[np.ndar
             parts of their own, so that lids stay lids.
 
     Returns:
-        (n, 2) float64, as `sim.head.mesh.grid_places` has them, and (n,) how far the points are off our head, mm.
+        (n, 2) float64, as `sim.head.mesh.grid_places` has them, and (n,) how far the points are
+        off our head, mm.
     """
     mesh = neutral_mesh()
     scene, triangles = _own_scene(with_eyes)

@@ -26,7 +26,7 @@ from sim.head.grid import (
 from sim.head.maps import at_grid, grid_window, to_window
 from sim.head.mesh import neutral_mesh
 from sim.skin.noise import cell_noise, octaves
-from sim.skin.places import PLACE_COLUMNS, PLACE_ROWS, canonical, row_and_column, place_masks
+from sim.skin.places import PLACE_COLUMNS, PLACE_ROWS, canonical, place_masks, row_and_column
 
 TILE_HEIGHT_MM = 400.0
 """About the height of the face's part of our tile, were all of it as dense."""
@@ -263,7 +263,9 @@ def face_from(
     if not (np.isfinite(positions[mask]).all() and np.isfinite(places[mask]).all()):
         raise SimError("face", found="NaN in a covered texel", expected="finite places")
     if places[mask].min() < -1e-3 or places[mask].max() > 1.001:
-        raise SimError("face", field="grid_uv", found="outside 0..1", expected="places of our vertex grid")
+        raise SimError(
+            "face", field="grid_uv", found="outside 0..1", expected="places of our vertex grid"
+        )
     if not mask.all():
         nearest = ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
         positions, places = positions[tuple(nearest)], places[tuple(nearest)]
