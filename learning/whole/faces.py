@@ -17,6 +17,7 @@ from learning import augment
 from learning.clock import RENDERING, Clock
 from learning.devices import CPU, moved
 from learning.encoding import shrink
+from learning.errors import TrainingError
 from learning.maps import from_batch, to_batch, typical_texel_mm
 from learning.networks.whole_face import KnownPeople, WholeFaceConfig, face_input
 from learning.render.environments import (
@@ -32,6 +33,7 @@ from learning.render.shading import Mode, ShadeOptions, SkinMaps, shade, unit
 from learning.render.skin import joined_skins
 from learning.render.uv import TexelSurface, texel_surface
 from learning.whole.displacement import displaced, displacement, edges_mm
+from learning.whole.texture_layout import of_another_layout
 from lightstage.commands import ProgressCallback, quiet
 from processing.dataset import Store
 
@@ -39,6 +41,8 @@ FINER = 2
 """Faces are lit at so many times the network's resolution, so that edges of shadows are sharp."""
 LARGEST_ROWS = 1536
 """Rows at most at which the shares of detail are fitted: finer ones count as one band."""
+NAMED = 3
+"""Scans that an error names."""
 LEAST_ALBEDO = 1e-3
 """Albedo below which a logarithm is cut off."""
 
@@ -210,12 +214,29 @@ class Faces:
                 progress(done + 1, len(self._scans))
         finally:
             threads.shutdown(cancel_futures=True)
+        self._require_one_layout()
         self._placed = [moved(face, lit_on) for face in self.faces]
 
     @property
     def names(self) -> list[str]:
         """Whose scan each face is."""
         return [scan.subject for scan in self._scans]
+
+    def _require_one_layout(self) -> None:
+        """TrainingError where the texture of some scans is laid out in another way than most's."""
+        positions = [shrink(face.maps["position"], self._size) for face in self.faces]
+        other = of_another_layout(torch.cat(positions)) if positions else []
+        if other:
+            names = [f"{self._scans[i].subject} ({self._scans[i].expression})" for i in other]
+            more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+            raise TrainingError(
+                self._store.path,
+                field="uv",
+                found=f"{', '.join(names[:NAMED])}{more} in another texture layout than most",
+                expected="all scans in one template's layout",
+                hint="Build the store from folders that were processed with one template, or "
+                "carry maps to it by `lightstage-processing template transfer`.",
+            )
 
     def in_common(self, modes: int) -> KnownPeople:
         """What the people have in common, and the directions in which their albedo differs."""

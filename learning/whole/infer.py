@@ -39,13 +39,11 @@ from learning.whole.refine import (
     Refined,
     refine,
 )
+from learning.whole.texture_layout import FARTHEST_MM, apart_mm, known_of_both
 from lightstage.counting import counted
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 
-FARTHEST_MM = 20.0
-"""Mean distance of a head's texels from those of the mean person. Our people have 3 to 9 once they
-are aligned, a texture that is flipped or turned has 78 to 99."""
 LEAST_TEXELS = 100
 """A head has about 4,000 at the network's size."""
 OTHER_LAYOUT = (
@@ -256,13 +254,13 @@ def _placed(
     offset_mm = torch.from_numpy(head_from_mesh[:, 3]).float()[:, None, None]
     here = (position_mm != 0).any(dim=1, keepdim=True)
     placed = (_turned(position_mm, head_from_mesh) + offset_mm) * here
-    _require_layout(network, placed, known, where)
+    _require_layout(network, placed, where)
     return head_from_mesh, placed
 
 
 def _both_known(network: WholeFaceNetwork, position_mm: Tensor, where: str | Path) -> Tensor:
     """(h, w) bool, texels of which both this head's and the mean person's positions are known."""
-    known = (position_mm != 0).any(dim=1) & (network.mean_position_mm != 0).any(dim=1)
+    known = known_of_both(position_mm, network.mean_position_mm)
     if known.sum() < LEAST_TEXELS:
         raise MapsError(
             where,
@@ -272,7 +270,7 @@ def _both_known(network: WholeFaceNetwork, position_mm: Tensor, where: str | Pat
             expected=f"at least {LEAST_TEXELS}",
             hint=OTHER_LAYOUT,
         )
-    return known[0]
+    return known
 
 
 def _aligned(network: WholeFaceNetwork, position_mm: Tensor, known: Tensor) -> np.ndarray:
@@ -284,11 +282,9 @@ def _aligned(network: WholeFaceNetwork, position_mm: Tensor, known: Tensor) -> n
     return np.column_stack([rotation.as_matrix(), offset_mm])
 
 
-def _require_layout(
-    network: WholeFaceNetwork, position_mm: Tensor, known: Tensor, where: str | Path
-) -> None:
+def _require_layout(network: WholeFaceNetwork, position_mm: Tensor, where: str | Path) -> None:
     """MapsError where the same texel is at quite another place of the head."""
-    distance = float((position_mm - network.mean_position_mm).norm(dim=1)[0][known].mean())
+    distance = apart_mm(position_mm, network.mean_position_mm)
     if not distance <= FARTHEST_MM:
         raise MapsError(
             where,

@@ -34,7 +34,7 @@ def over_grid(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
 def at_grid(values: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
     """Bilinear interpolation of vertex values (n[, c]) at places of the grid: (h, w[, c]).
 
-    OpenCV's `remap` rounds places to 1/32 of a cell: a cell of the largest textures has more texels.
+    OpenCV's `remap` rounds places to 1/32 of a cell, and large textures have more texels in one.
     """
     grid = np.asarray(values)[grid_vertices()]
     across = (column.astype(np.float64) + 0.5) / (COLUMNS + 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from learning.augment import AugmentConfig, draw, recolour
 from learning.checkpoint import load_generator, load_whole_face, shipped_weights
 from learning.devices import CPU
 from learning.encoding import shrink
-from learning.errors import CheckpointError, MapsError
+from learning.errors import CheckpointError, MapsError, TrainingError
 from learning.maps import to_batch
 from learning.networks.whole_face import (
     Attention,
@@ -35,9 +36,11 @@ from learning.whole.displacement import displaced, displacement
 from learning.whole.faces import FaceBatch, Faces, FacesConfig
 from learning.whole.infer import infer_whole_face
 from learning.whole.score import score_faces
+from learning.whole.texture_layout import apart_mm, of_another_layout
 from learning.whole.train import WholeFaceTrainer, face_losses
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
+from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import Mesh
 from processing.dataset import build_store, open_store
 
@@ -445,6 +448,29 @@ def test_another_layout_another_size_and_a_tiny_texture_are_refused(
         infer_whole_face(trained, texture[:40], ball_mesh)
     with pytest.raises(MapsError, match="exposure"):
         infer_whole_face(trained, 1000 * texture, ball_mesh)
+
+
+def test_scans_of_two_layouts_are_not_trained_on_together(
+    strangers: list[Path], tmp_path: Path
+) -> None:
+    folders = [shutil.copytree(path, tmp_path / path.name) for path in strangers]
+    for name in ("position", "diffuse_albedo"):
+        file = folders[1] / "atlas" / f"{name}.exr"
+        write_exr(file, np.ascontiguousarray(read_exr(file)[::-1]))
+    store = build_store(folders, tmp_path / "store")
+    with pytest.raises(TrainingError, match=r"found person-0001 .neutral. in another texture"):
+        faces_of(store)
+
+
+def test_a_layout_is_another_where_texels_are_elsewhere_or_unknown() -> None:
+    rng = np.random.default_rng(0)
+    usual = 80 * torch.from_numpy(rng.normal(size=(1, 3, 12, 8))).float()
+    heads = usual + 3 * torch.from_numpy(rng.normal(size=(5, 3, 12, 8))).float()
+    assert of_another_layout(heads) == []
+    heads[3] = heads[3].flip(1)
+    heads[4] = float("nan")
+    assert of_another_layout(heads) == [3, 4]
+    assert np.isnan(apart_mm(torch.zeros_like(usual), usual))
 
 
 def test_the_modern_preset_refuses_what_cannot_be() -> None:
