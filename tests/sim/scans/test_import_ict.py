@@ -11,7 +11,7 @@ import pytest
 from lightstage.errors import LightstageError
 from lightstage.formats.mesh import Mesh, vertex_normals, write_obj
 from sim.errors import SimError
-from sim.head.mesh import landmarks, neutral_mesh
+from sim.head.mesh import grid_places, landmarks, neutral_mesh
 from sim.head.modes import EXPRESSIONS
 from sim.light.texture import raster_uv
 from sim.people.subjects import load_subject
@@ -198,7 +198,7 @@ def test_each_places_skin_is_that_of_the_same_place_on_our_head(model):
     # Texels at ICT's landmarks lead to our own landmarks.
     own = neutral_mesh()
     where = np.full((len(own.vertices), 2), np.nan)
-    where[own.triangles().ravel()] = own.uvs[own.triangle_uvs().ravel()]
+    where[own.triangles().ravel()] = grid_places()[own.triangle_uvs().ravel()]
     ours = where[landmarks()]
     vertex_uv = np.full((len(model.mesh.vertices), 2), np.nan)
     real = parts.faces >= 0

@@ -11,7 +11,7 @@ from lightstage.formats.mesh import vertex_normals
 from lightstage.formats.processed import texel_uv
 from sim.errors import SimError
 from sim.head.grid import COLUMNS, ROWS
-from sim.head.maps import at_grid, surface_normals, to_tile
+from sim.head.maps import at_grid, grid_window, surface_normals, to_tile
 from sim.head.mesh import landmarks, neutral_mesh
 from sim.people.person import parametric_subject, person_expressions, person_skin
 from sim.people.traits import LOOKS, Traits
@@ -48,7 +48,7 @@ def sphere(rows: int, columns: int, texel_mm: float) -> np.ndarray:
 
 
 def close_up(rows: int, top: float, left: float, side: int) -> Face:
-    """A square of texels of our tile of so many rows, as a texture of its own."""
+    """A square of our vertex grid spread over so many rows, as a texture of its own."""
     u, v = (np.arange(side) + left * rows * 2 / 3) / (rows * 2 / 3), np.arange(side) + top * rows
     uv = np.stack(np.meshgrid(u, 1 - v / rows), axis=-1)
     positions = at_grid(
@@ -193,8 +193,8 @@ def test_expressions_of_one_person_share_the_painted_skin():
 
 def test_our_own_tile_given_as_a_foreign_texture_is_painted_alike():
     rows, columns = 96, 64
-    u, v = texel_uv(rows, columns)
-    uv = np.stack(np.meshgrid(u, v), axis=-1)
+    row, column = grid_window(rows, columns, 0, rows)
+    uv = np.stack([column / COLUMNS, 1 - row / ROWS], axis=-1)
     positions = to_tile(neutral_mesh().vertices, rows, columns)
     foreign = face_from(positions, uv, np.ones((rows, columns), bool), 9)
     own = Face(rows, columns, 9, foreign.texel_mm)
