@@ -173,7 +173,7 @@ def check_command(
     if picture is not None:
         write_png(picture, draw(shape, found))
     require_usable(template, found)
-    summary = f"{len(found)} findings" if found else "nothing found"
+    summary = counted(len(found), "finding") if found else "nothing found"
     shown = ("skin_angle_p95_deg", "skin_area_p95_times", "skin_texel_mm", "uv_overlap_share",
             "open_borders")  # fmt: skip
     summary += "".join(f", {name} {facts[name]:.3g}" for name in shown if name in facts)

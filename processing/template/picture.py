@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.formats.template import Template
 from processing.atlas.raster import rasterise
 from processing.sides import side_hits
@@ -93,9 +94,8 @@ def _legend(
     template: Template, found: list[Finding], shown: list[Finding], width: int
 ) -> np.ndarray:
     """Lines of text on white, the colour of each finding before it."""
-    lines: list[tuple[int | None, str]]
-    lines = [(None, f"{template.name}: {len(found)} findings" if found else
-              f"{template.name}: nothing found")]  # fmt: skip
+    summary = counted(len(found), "finding") if found else "nothing found"
+    lines: list[tuple[int | None, str]] = [(None, f"{template.name}: {summary}")]
     for each in found:
         number = next((k for k, other in enumerate(shown) if other is each), None)
         line = f"{each.name}: {each.text}" + (" (cannot be used)" if each.unusable else "")
