@@ -17,7 +17,7 @@ from benchmarks.record import record
 from processing.template.uv_faults import stretch_of
 from sim.head.fields import identity_fields
 from sim.head.mesh import grid_places, neutral_mesh, regions
-from sim.head.modes import IDENTITY_MODES, identity_modes
+from sim.head.modes import IDENTITY_MODES
 from sim.head.parametric import random_head
 from sim.head.unwrap import make_layout
 
@@ -56,7 +56,7 @@ def stretches() -> list[list[str]]:
     for name, laid_out in (("ours", mesh), ("the grid, evenly", even)):
         stretch = stretch_of(laid_out, 6144)
         for part in ("skin", "lips", "ears", "hair"):
-            chosen = np.isin(mesh.triangles(), regions()[part]).all(axis=1)
+            chosen = np.asarray(np.isin(mesh.triangles(), regions()[part]).all(axis=1))
             median, most = stretch.of(chosen, 0.5), stretch.of(chosen, 0.95)
             body.append(
                 [name, part, f"{median[0]:.0f} / {most[0]:.0f}", f"{most[1]:.1f}", f"{most[2]:.3f}"]
@@ -83,13 +83,12 @@ def held_out_errors() -> list[list[str]]:
         vectors[:, ::-1].T @ exact,
         np.linalg.svd(people - people.mean(axis=0), full_matrices=False)[2],
     )
-    own = identity_modes()[:, face].reshape(IDENTITY_MODES, -1)
     means = (np.zeros(heads.shape[1]), people.mean(axis=0))
     body = []
     for count in MODES:
         errors = []
         for basis, mean in zip(bases, means, strict=True):
-            chosen = own if basis is bases[0] and count == IDENTITY_MODES else basis[:count]
+            chosen = basis[:count]
             beside = (others - mean).T
             if count:
                 beside = beside - chosen.T @ np.linalg.lstsq(chosen.T, beside, rcond=None)[0]
