@@ -2,10 +2,10 @@
 
 python -m benchmarks.atlas_skips [--scale .25] [--rows 2048] [--keep DIR]
 
-Looking (which texels a view shows), in it weighing (of each texel), reading (a view's pictures side
-by side) and adding (both bands) are timed apart, files unpacked before: beside the stage's threads
-that read and write, no skip's own seconds could be measured. With a skip and without it run in
-turn. Apart: the largest change of any map's value.
+Looking (which texels a view shows), reading (a view's pictures side by side) and adding (both
+bands) are timed apart, files unpacked before: beside the stage's threads that read and write, no
+skip's own seconds could be measured. With a skip and without it run in turn. Apart: the largest
+change of any map's value.
 """
 
 from __future__ import annotations
@@ -26,20 +26,17 @@ from benchmarks.atlas_speed import NOISE
 from benchmarks.record import record
 from lightstage.formats.mesh import read_obj
 from lightstage.formats.processed import MAPS
-from processing.atlas import weights
 from processing.atlas.blend import Blender
 from processing.atlas.config import BLENDED, OPTIONAL, BlendConfig
 from processing.atlas.geometry import Geometry
 from processing.atlas.sampling import room, side_by_side
 from processing.atlas.seen import Seen
-from processing.atlas.tiles import TileBounds
 from processing.atlas.weights import Sampler, Texels
 
 ROUNDS = 3
 EVERY = (*BLENDED, *OPTIONAL)
 NORMAL = "diffuse_normal"
-LOOKING, WEIGHING, READING, ADDING = "looking", "weighing", "reading", "adding"
-PARTS = (LOOKING, WEIGHING, READING, ADDING)
+LOOKING, READING, ADDING = PARTS = ("looking", "reading", "adding")
 
 Around = Callable[[], AbstractContextManager[None]]
 
@@ -62,18 +59,6 @@ class Bench:
 
 
 @contextmanager
-def every_tile() -> Iterator[None]:
-    """Each view samples each tile."""
-
-    def all_of_them(self: TileBounds, place_mm: np.ndarray, least_cos: float) -> np.ndarray:
-        del place_mm, least_cos
-        return np.arange(len(self.trusted))
-
-    with mock.patch.object(TileBounds, "seen_from", all_of_them):
-        yield
-
-
-@contextmanager
 def whole_pictures() -> Iterator[None]:
     """Of each view the whole picture is kept."""
 
@@ -89,7 +74,7 @@ def prepared(case: AtlasCase, rows: int) -> Bench:
     shape = Geometry.of(read_obj(case.out.registered_mesh), rows)
     places = shape.at(shape.vertices)
     trust = np.ones(len(places), np.float32)
-    texels = Texels.of(places, shape.normals(), trust, shape.tiles.start)
+    texels = Texels(places, shape.normals(), trust, shape.tiles.start)
     pictures = {}
     for camera in case.session.rig.cameras:
         pictures[camera.id] = {
@@ -106,12 +91,12 @@ class Merged:
     Attributes:
         values: (k, d).
         seconds: processor's, of each part.
-        shares: of tiles sampled, of pixels kept, and of samples that give detail.
+        shares: of pixels kept, and of samples that give detail.
     """
 
     values: np.ndarray
     seconds: dict[str, float]
-    shares: tuple[float, float, float]
+    shares: tuple[float, float]
 
 
 def merged(bench: Bench, names: tuple[str, ...], config: BlendConfig) -> Merged:
@@ -125,23 +110,16 @@ def merged(bench: Bench, names: tuple[str, ...], config: BlendConfig) -> Merged:
         yield
         seconds[part] += time.process_time() - begin
 
-    weigh = weights._weigh
-
-    def weighing(*given: object) -> None:
-        with timed(WEIGHING):
-            weigh(*given)
-
     middle = shape.vertices.mean(axis=0)
     finest = min(np.linalg.norm(c.centre_mm - middle) / c.fx_px for c in cameras)
     sampler = Sampler(shape.vertices, shape.triangles, bench.texels, float(finest), config.weights)
     seen, views = Seen.none(len(shape.tiles.flat)), []
-    with mock.patch.object(weights, "_weigh", weighing):
-        for index, camera in enumerate(cameras):
-            maps = bench.pictures[camera.id]
-            confidence = maps["confidence"].astype(np.float32)
-            with timed(LOOKING):
-                views.append(sampler.look(camera, confidence, maps["mask"], maps[NORMAL]))
-                seen.add(views[-1].reading, index)
+    for index, camera in enumerate(cameras):
+        maps = bench.pictures[camera.id]
+        confidence = maps["confidence"].astype(np.float32)
+        with timed(LOOKING):
+            views.append(sampler.look(camera, confidence, maps["mask"], maps[NORMAL]))
+            seen.add(views[-1].reading, index)
     channels = sum(MAPS[name].channels for name in names)
     values = np.zeros((len(seen.best), room(channels)), np.float32)
     with timed(ADDING):
@@ -157,7 +135,6 @@ def merged(bench: Bench, names: tuple[str, ...], config: BlendConfig) -> Merged:
         np.count_nonzero(one.weight >= config.detail_least * seen.best[one.slot]) for one in samples
     )
     shares = (
-        sum(view.tiles for view in views) / (len(views) * (len(shape.tiles.start) - 1)),
         sum(one.usable.size for one in samples) / sum(c.width_px * c.height_px for c in cameras),
         detailed / sum(len(one.slot) for one in samples),
     )
@@ -217,7 +194,6 @@ def main() -> None:
         bench = prepared(case_at(folder, arguments.scale), arguments.rows)
         merged(bench, EVERY, BlendConfig())  # compiled code is loaded before the clock starts
         rows = [
-            without("tiles that look away from a view", (WEIGHING,), bench, every_tile),
             without("pixels around what may be read", every, bench, whole_pictures),
             without(
                 "detail of views below a tenth of the best's weight",

@@ -102,7 +102,6 @@ def apart(*words: object) -> dict[str, Any]:
 
 
 def line(name: str, rows: int, views: int, got: dict[str, Any]) -> list[str]:
-    looked = got.get("tiles_looked_at_share")
     return [
         name,
         str(rows),
@@ -112,7 +111,6 @@ def line(name: str, rows: int, views: int, got: dict[str, Any]) -> list[str]:
         f"{got['peak']:.2f}",
         f"{got['psnr']:.1f}",
         f"{got['seen_share']:.0%}",
-        "" if looked is None else f"{1 - looked:.0%}",
     ]
 
 
@@ -158,7 +156,6 @@ def main() -> None:
                     *(f"{got[key] / other[key]:.2f}" for key in ("wall", "cpu", "peak")),
                     f"{got['psnr'] - other['psnr']:+.1f}",
                     "",
-                    "",
                 ]
             )
     camera = case_at(Path(passing), arguments.scale).session.rig.cameras[0]
@@ -173,12 +170,10 @@ def main() -> None:
             "peak GiB",
             "PSNR dB, all that is seen",
             "seen",
-            "tiles skipped",
         ],
         table,
         "All maps: six of the views' and six of the atlas's own, read and written as EXR; true "
-        f"mesh, albedo with noise of {NOISE}, the other maps smooth. A tile of a view is skipped "
-        "where its normals' cone cannot face it.",
+        f"mesh, albedo with noise of {NOISE}, the other maps smooth.",
     )
 
 

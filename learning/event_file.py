@@ -22,11 +22,11 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
+from learning.protobuf import BYTES, EIGHT_BYTES, FOUR_BYTES, VARINT, field, varint
+
 VERSION = "brain.Event:2"
 EVENTS = "events.out.tfevents."
 """How the names of these files begin."""
-VARINT, DOUBLE, BYTES, FLOAT = 0, 1, 2, 5
-"""Wire types of protocol buffers."""
 _POLYNOMIAL = 0x82F63B78
 """Castagnoli's, bits reversed."""
 _MASK = 0xA282EAD8
@@ -49,8 +49,8 @@ class EventFile:
             name = f"{EVENTS}{int(now):010d}.{secrets.token_hex(4)}"
             self._folder.mkdir(parents=True, exist_ok=True)
             self._path = self._folder / name
-            version = _field(3, BYTES, VERSION.encode())
-            records = record(_field(1, DOUBLE, struct.pack("<d", now)) + version) + records
+            version = field(3, BYTES, VERSION.encode())
+            records = record(field(1, EIGHT_BYTES, struct.pack("<d", now)) + version) + records
         with self._path.open("ab") as handle:
             handle.write(records)
 
@@ -64,17 +64,17 @@ def record(data: bytes) -> bytes:
 def event(wall_time_s: float, step: int, values: Mapping[str, float]) -> bytes:
     """An `Event` with scalars; `step` is not negative, numbers are stored as float32."""
     summary = b"".join(
-        _field(
+        field(
             1,
             BYTES,
-            _field(1, BYTES, tag.encode()) + _field(2, FLOAT, _float32(value)),
+            field(1, BYTES, tag.encode()) + field(2, FOUR_BYTES, _float32(value)),
         )
         for tag, value in values.items()
     )
     return (
-        _field(1, DOUBLE, struct.pack("<d", wall_time_s))
-        + _field(2, VARINT, _varint(step))
-        + _field(5, BYTES, summary)
+        field(1, EIGHT_BYTES, struct.pack("<d", wall_time_s))
+        + field(2, VARINT, varint(step))
+        + field(5, BYTES, summary)
     )
 
 
@@ -90,22 +90,6 @@ def _masked(data: bytes) -> bytes:
     crc = crc32c(data)
     turned = ((crc >> 15) | (crc << 17)) & 0xFFFFFFFF
     return struct.pack("<I", (turned + _MASK) & 0xFFFFFFFF)
-
-
-def _field(number: int, kind: int, payload: bytes) -> bytes:
-    """A field of a message; of `BYTES` with its length."""
-    length = _varint(len(payload)) if kind == BYTES else b""
-    return _varint(number << 3 | kind) + length + payload
-
-
-def _varint(value: int) -> bytes:
-    """Seven bits a byte, the lowest first; the highest bit says that more follow."""
-    found = bytearray()
-    while value > 0x7F:
-        found.append(value & 0x7F | 0x80)
-        value >>= 7
-    found.append(value)
-    return bytes(found)
 
 
 def _float32(value: float) -> bytes:

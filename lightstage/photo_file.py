@@ -12,7 +12,7 @@ from typing import Any, Literal
 from lightstage.containers import JPEG_HEAD, MOST_PARTS
 from lightstage.counting import counted
 from lightstage.errors import FormatError
-from lightstage.tiff import MAX_DIRECTORIES, SUB_IFDS, Entry, entries_at
+from lightstage.tiff import MAX_DIRECTORIES, SUB_IFDS, Entry, entries_at, walk
 
 _EXR = b"\x76\x2f\x31\x01"
 _DNG_VERSION, _MAKE = 50706, 271
@@ -204,15 +204,10 @@ def _tiff_suffix(source: _Source, order: str, where: str | Path) -> str:
 
 
 def _directories(source: _Source, order: str) -> Iterator[dict[int, list[int]]]:
-    """The TIFF's directories, SubIFDs too: tag to its values (a rational's two parts in a row)."""
-    pending = list(source.unpack(order + "I", 4))
-    seen: set[int] = set()
-    while pending and len(seen) < MAX_DIRECTORIES:
-        offset = pending.pop(0)
-        if offset == 0 or offset in seen:
-            continue
-        seen.add(offset)
-        entries, following = entries_at(source.take, offset, order, _MOST_ENTRIES)
+    """The TIFF's directories, SubIFDs too: tag to its values; struct.error where one is cut."""
+
+    def at(place: int, kind: str) -> tuple[dict[int, list[int]], list[tuple[int, str]]]:
+        entries, following = entries_at(source.take, place, order, _MOST_ENTRIES)
         if following is None:
             raise struct.error("a directory that is cut")
         tags = {
@@ -220,8 +215,10 @@ def _directories(source: _Source, order: str) -> Iterator[dict[int, list[int]]]:
             for entry in entries
             if entry.tag in (*_READ, *_PLACES, *_PLACES.values())
         }
-        pending += [*tags.get(SUB_IFDS, []), following]
-        yield tags
+        inner = tags.get(SUB_IFDS, [])[:MAX_DIRECTORIES]
+        return tags, [(each, kind) for each in (*inner, following)]
+
+    yield from walk(source.unpack(order + "I", 4)[0], at)
 
 
 def _values(source: _Source, order: str, entry: Entry) -> list[int]:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import dataclasses
 import errno
 import struct
-from collections.abc import Callable, Iterator
-from typing import BinaryIO, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import BinaryIO, NamedTuple, TypeVar
 
 from lightstage.printable import printable
 
@@ -27,6 +27,7 @@ _LETTERS = {1: "B", 2: "s", 3: "H", 4: "I", 6: "b", 7: "s", 8: "h", 9: "i", 11: 
 _LETTERS |= {13: "I"}
 _PAIRS = {5: "I", 10: "i"}
 
+Found = TypeVar("Found")
 Value = bytes | tuple[float, ...]
 """Text and undefined bytes as bytes; whole numbers, and quotients of rationals (NaN of x/0)."""
 
@@ -144,21 +145,41 @@ def directories(reader: Reader) -> Iterator[Directory]:
         return
     if struct.unpack(order + "H", head[2:4])[0] not in MAGIC:
         return
-    pending = [("picture", struct.unpack(order + "I", head[4:])[0])]
-    seen: set[int] = set()
-    while pending and len(seen) < MAX_DIRECTORIES:
-        kind, place = pending.pop(0)
-        if place == 0 or place in seen:
-            continue
-        seen.add(place)
+
+    def at(place: int, kind: str) -> tuple[Directory, list[tuple[int, str]]]:
         directory, following = directory_at(reader, place, order, kind)
-        yield directory
+        further = []
         for tag, inner in ((EXIF_IFD, "exif"), (GPS_IFD, "gps"), (SUB_IFDS, "picture")):
             value = directory.tags.get(tag, ())
             if isinstance(value, tuple):
-                pending += [(inner, int(v)) for v in value[:MAX_DIRECTORIES] if 0 < v < 1 << 32]
+                further += [(int(v), inner) for v in value[:MAX_DIRECTORIES] if 0 < v < 1 << 32]
         if kind == "picture":
-            pending.append(("picture", following))
+            further.append((following, "picture"))
+        return directory, further
+
+    yield from walk(struct.unpack(order + "I", head[4:])[0], at)
+
+
+def walk(
+    first: int, at: Callable[[int, str], tuple[Found, Sequence[tuple[int, str]]]]
+) -> Iterator[Found]:
+    """Every directory that can be reached from one: each once, `MAX_DIRECTORIES` at most.
+
+    Args:
+        first: place of the first; 0 is nowhere.
+        at: reads the directory at a place, of a kind (see `Directory`); returns what it found, and
+            place and kind of those to which it leads. Few of them: they are kept in memory.
+    """
+    pending = [(first, "picture")]
+    seen: set[int] = set()
+    while pending and len(seen) < MAX_DIRECTORIES:
+        place, kind = pending.pop(0)
+        if place == 0 or place in seen:
+            continue
+        seen.add(place)
+        found, further = at(place, kind)
+        yield found
+        pending += further
 
 
 def directory_at(reader: Reader, place: int, order: str, kind: str) -> tuple[Directory, int]:

@@ -63,6 +63,13 @@ def without_code(text: str) -> str:
     return re.sub(r"^( *)```.*?^\1```$", "", text, flags=re.MULTILINE | re.DOTALL)
 
 
+def long_lines(text: str, most: int) -> list[str]:
+    """Lines of prose with more characters: no code, table or picture, nor a line of one word."""
+    lines = without_code(text).splitlines()
+    prose = [line for line in lines if not line.lstrip().startswith(("|", "![")) and " " in line]
+    return [line for line in prose if len(line) > most]
+
+
 def broken_links(page: Path) -> list[str]:
     """Relative links and pictures of a page that meet no file, or no heading of it."""
     broken = []

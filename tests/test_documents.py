@@ -24,6 +24,7 @@ from tests.documents import (
     commands,
     defined,
     drawn_layers,
+    long_lines,
     missing_paths,
     named_symbols,
     options,
@@ -64,6 +65,17 @@ def test_links_to_a_missing_file_or_heading_are_found(tmp_path: Path) -> None:
         "[5](#twice-2) [6](#code) ![7](gone.jpg) [8](page.md#tit)\n"
     )
     assert broken_links(page) == ["#twice-2", "#code", "gone.jpg", "page.md#tit"]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_no_line_of_prose_is_longer_than_130_characters(page: Path) -> None:
+    assert long_lines(page.read_text(), 130) == []
+
+
+def test_a_long_line_of_prose_is_found_and_tables_and_code_may_be_long() -> None:
+    long = "a word " * 3
+    page = f"{long}\n- {long}\n| {long} |\n![{long}](a.png)\n```\n{long}\n```\nshort\n{'a' * 30}\n"
+    assert long_lines(page, 20) == [long, f"- {long}"]
 
 
 @pytest.mark.parametrize("page", ["README.md", "ARCHITECTURE.md"])

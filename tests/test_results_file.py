@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import subprocess
 from pathlib import Path
@@ -17,7 +18,7 @@ from benchmarks.results_file import (
     subject_of,
     with_table,
 )
-from benchmarks.stale import why_stale
+from benchmarks.stale import changed_lines, code_lines, why_stale
 
 BENCHMARKS = Path(recording.__file__).parent
 
@@ -101,13 +102,37 @@ def test_a_table_is_recorded_with_its_command_and_not_from_a_changed_tree(
     assert "benchmarks/render_speed.py differ from commit" in shown.err
 
 
-def test_a_table_is_stale_once_a_file_that_it_measures_has_changed(repository) -> None:
+def test_a_table_is_stale_once_code_that_it_measures_has_changed(repository) -> None:
     table = made("Renderer: speed", "render_speed", recording.commit())
-    files = ["benchmarks/render_speed.py"]
-    assert why_stale(table, files) == ""
+    files = ["benchmarks/render_speed.py", "benchmarks/new.py"]
+    assert why_stale(table, files) == (0, "")
+    (recording.RESULTS.parent / "render_speed.py").write_text('"""New."""\n\none = 1  # still\n')
+    repository("commit", "-qam", "comments")
+    assert why_stale(table, files) == (0, "")
     (recording.RESULTS.parent / "render_speed.py").write_text("one = 2\n")
-    repository("commit", "-qam", "second")
-    assert why_stale(table, files).startswith("1 later commits: 1 file changed")
-    assert why_stale(table, ["benchmarks/other.py"]) == ""
+    repository("commit", "-qam", "code")
+    assert why_stale(table, files) == (2, "2 lines of code in 1 file")
+    (recording.RESULTS.parent / "new.py").write_text("two = 2\n")
+    repository("add", "-A")
+    repository("commit", "-qm", "more")
+    assert why_stale(table, files) == (3, "3 lines of code in 2 files")
+    assert why_stale(table, ["benchmarks/other.py"]) == (0, "")
     gone = made("Renderer: speed", "render_speed", "0123456")
-    assert why_stale(gone, files) == "no commit 0123456 in the history"
+    assert why_stale(gone, files) == (math.inf, "no commit 0123456 in the history")
+
+
+def test_comments_docstrings_and_layout_are_no_code() -> None:
+    plain = "class A:\n    b = 1\n\n    def c(self, d):\n        return 'text'\n"
+    told = (
+        '"""A file."""\n\nclass A:\n    """A class."""\n\n    b = (\n        1  # one\n    )\n'
+        '    """About b."""\n\n    def c(self, d):\n        """Say."""\n        return "text"\n'
+    )
+    assert code_lines(told) == code_lines(plain)
+    assert code_lines(plain.replace("text", "other")) != code_lines(plain)
+    assert code_lines('def a():\n    """Nothing else."""\n') == ("def a():",)
+
+
+def test_lines_that_only_moved_are_a_change() -> None:
+    assert changed_lines(("a", "b"), ("a", "b")) == 0
+    assert changed_lines(("a", "b"), ("b", "a")) == 1
+    assert changed_lines(("a", "b", "b"), ("a", "c", "b")) == 2

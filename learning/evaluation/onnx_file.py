@@ -6,15 +6,13 @@ OpenCV runs such a file but does not report its inputs.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 
-VARINT, EIGHT_BYTES, BYTES, FOUR_BYTES = 0, 1, 2, 5
-"""Wire types of protocol buffers."""
+from learning.protobuf import fields
+
 GRAPH = 7
 """Field of a model."""
 INITIALIZER, INPUT, OUTPUT = 5, 11, 12
 """Fields of a graph."""
-VARINT_BYTES = 10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,53 +55,14 @@ def _value(data: memoryview) -> Value:
     shape = _only(_only(_only(data, 2), 1), 2)
     sizes: list[int | None] = []
     for dim in _messages(shape, 1):
-        values = [n for number, n in _fields(dim) if number == 1 and isinstance(n, int)]
+        values = [n for number, n in fields(dim) if number == 1 and isinstance(n, int)]
         # A size of zero, or one with the sign bit set, means that it is open.
         sizes.append(values[-1] if values and 0 < values[-1] < 1 << 31 else None)
     return Value(_text(data, 1), tuple(sizes))
 
 
-def _fields(data: memoryview) -> Iterator[tuple[int, int | memoryview]]:
-    """Number and content of each field of a message: whole numbers and bytes; others are passed.
-
-    Weights are not copied.
-    """
-    at = 0
-    while at < len(data):
-        key, at = _varint(data, at)
-        number, kind = key >> 3, key & 7
-        if number == 0:
-            raise ValueError("a field without a number")
-        if kind == VARINT:
-            value, at = _varint(data, at)
-            yield number, value
-        elif kind == BYTES:
-            length, at = _varint(data, at)
-            if length > len(data) - at:
-                raise ValueError("a field that ends beyond the file")
-            yield number, data[at : at + length]
-            at += length
-        elif kind in (EIGHT_BYTES, FOUR_BYTES):
-            at += 8 if kind == EIGHT_BYTES else 4
-        else:
-            raise ValueError("a field of an unknown kind")
-
-
-def _varint(data: memoryview, at: int) -> tuple[int, int]:
-    """A whole number of seven bits a byte, lowest first, and where it ends."""
-    value = 0
-    for place in range(VARINT_BYTES):
-        if at + place >= len(data):
-            raise ValueError("a number that is cut")
-        byte = data[at + place]
-        value |= (byte & 127) << (7 * place)
-        if byte < 128:
-            return value, at + place + 1
-    raise ValueError("a number of too many bytes")
-
-
 def _messages(data: memoryview, wanted: int) -> list[memoryview]:
-    return [v for number, v in _fields(data) if number == wanted and isinstance(v, memoryview)]
+    return [v for number, v in fields(data) if number == wanted and isinstance(v, memoryview)]
 
 
 def _only(data: memoryview, wanted: int) -> memoryview:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from learning.errors import MapsError
+from lightstage.formats.expression_sides import left_share, rising
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.template import load_template
 
@@ -27,8 +28,6 @@ ARKIT = (*(f"{name}{side}" for name in SIDED for side in ("Left", "Right")), *WH
 
 HEAD_FRAME_DEG = 10.0
 """Registered heads in the head frame are turned by less against the template."""
-MIDDLE_MM = 12.0
-"""Half the width of the middle, where one side of a split expression fades into the other."""
 BOTH_SIDES = {
     "smile": "mouthSmile",
     "brow_furrow": "browDown",
@@ -51,12 +50,12 @@ def arkit_targets(own: str, offsets: np.ndarray, x_mm: np.ndarray) -> dict[str, 
         offsets: (n, 3) of its vertices.
         x_mm: (n,) places of the vertices in the head frame, left of the head above 0.
     """
-    left = _rising(x_mm, -MIDDLE_MM, MIDDLE_MM)[:, None]
+    left = left_share(x_mm)[:, None]
     if own in BOTH_SIDES:
         name = BOTH_SIDES[own]
         return {f"{name}Left": left * offsets, f"{name}Right": (1 - left) * offsets}
     if own == BROWS:
-        outer = _rising(np.abs(x_mm), INNER_MM, OUTER_MM)[:, None]
+        outer = rising(np.abs(x_mm), INNER_MM, OUTER_MM)[:, None]
         return {
             "browInnerUp": (1 - outer) * offsets,
             "browOuterUpLeft": outer * left * offsets,
@@ -64,12 +63,6 @@ def arkit_targets(own: str, offsets: np.ndarray, x_mm: np.ndarray) -> dict[str, 
         }
     whole = arkit_name(ALSO.get(own, own))
     return {} if whole is None else {whole: offsets}
-
-
-def _rising(values: np.ndarray, low: float, high: float) -> np.ndarray:
-    """0 below, 1 above, smooth between."""
-    share = np.clip((values - low) / (high - low), 0, 1)
-    return np.asarray(share * share * (3 - 2 * share))
 
 
 def arkit_name(own: str) -> str | None:

@@ -15,10 +15,8 @@ from lightstage.checks.single import where
 from lightstage.checks.sums import MIN_CELLS, lit_cells
 from lightstage.counting import counted
 from lightstage.findings import Finding, two_digits
+from lightstage.formats.sums import UNLIKE, UNLIKE_RATIO
 
-UNLIKE, UNLIKE_RATIO = 0.2, 1.5
-"""A photograph shows another pattern when it is this far from its own and this many times nearer
-to the other."""
 LIKE_SIGNAL = 0.4
 """A photograph of less than this share of another's light cannot judge that one's focus."""
 EXCESS_CELLS = 0.1

@@ -6,6 +6,9 @@ the whole are solved at once, from the small pictures, to a fraction of a cell.
 Pictures without structure have no place: their edges must stand above what noise makes of an even
 surface, and no shift can be known better than the bound of Cramer and Rao for edges of such energy
 under such noise allows.
+
+`processing.decode.subject_motion` solves a field of displacements for each part, by which the
+photographs are moved; a check needs only how far the subject moved, and how exactly that is known.
 """
 
 from __future__ import annotations

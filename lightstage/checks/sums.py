@@ -3,6 +3,9 @@
 Light is linear: where the levels of two patterns sum to a third's, so do their photographs, less
 what is there without a lamp: I_a + I_b - I_whole = ambient. That holds in every cell, whatever the
 face, its shadows and its skin; nothing about them need be known.
+
+`processing.decode.sums` fits the pairs of a whole session together, to even out flicker and ambient
+light; this fits one sum as soon as its photographs are there, with the gains' standard errors.
 """
 
 from __future__ import annotations

@@ -151,11 +151,6 @@ def read_map(path: Path, name: str, *, half: bool = False) -> np.ndarray:
     return image
 
 
-def texel_uv(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    """OBJ's (u, v) of texel centres: (columns,) u and (rows,) v; row 0 has v = 1 - 0.5 / rows."""
-    return (np.arange(columns) + 0.5) / columns, 1.0 - (np.arange(rows) + 0.5) / rows
-
-
 def _spec(name: str) -> MapSpec:
     if name not in MAPS:
         raise FormatError(f"map {name!r}", found="an unknown name", expected=", ".join(MAPS))

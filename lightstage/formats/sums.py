@@ -22,6 +22,9 @@ LEVEL_STEP = 1e-3
 """Levels are compared to this; devices round to steps of their own."""
 SLACK = 1.5
 """Steps by which rounding may part two sums."""
+UNLIKE, UNLIKE_RATIO = 0.2, 1.5
+"""A photograph shows another pattern when it is this far from its own and this many times nearer
+to the other."""
 UNCHECKED = (
     "no photographs add up to the same light (a gradient, its complement and full, or two axes): "
     "whether each shows its own pattern could not be checked"

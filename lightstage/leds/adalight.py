@@ -10,7 +10,7 @@ import numpy as np
 
 from lightstage.leds.address import AdalightOptions
 from lightstage.leds.connection import Line, opened
-from lightstage.leds.controller import Hello, LightLostError, level_steps
+from lightstage.leds.controller import Hello, LightLostError, level_steps, require_levels
 from lightstage.leds.guard import LastWill
 from lightstage.leds.unanswered import UnansweredLeds
 
@@ -48,8 +48,8 @@ class Tint:
 
     def steps(self, levels: np.ndarray) -> np.ndarray:
         """(n,) step of the strongest primary, for (n,) levels in 0..1; DeviceError for others."""
-        level_steps(levels, 1)  # a level out of range must not come back into it by the root
-        return level_steps(np.asarray(levels, float) ** (1 / self._gamma), self._full)
+        # Checked before the root, which could bring a level out of range back into it.
+        return level_steps(require_levels(levels) ** (1 / self._gamma), self._full)
 
     def driven(self, steps: np.ndarray) -> np.ndarray:
         """(n,) levels in 0..1 that (n,) steps make."""

@@ -86,6 +86,23 @@ class LedController(Protocol):
         """Give the port back; lights stay as they are."""
 
 
+def require_levels(levels: np.ndarray) -> np.ndarray:
+    """Levels as (n,) float64, refused where one is no level.
+
+    Args:
+        levels: (n,) in 0..1.
+
+    Raises:
+        DeviceError: another shape, NaN or out of range; a level is refused, never clipped.
+    """
+    values = np.asarray(levels, float)
+    if values.ndim != 1 or not ((values >= 0) & (values <= 1)).all():
+        raise DeviceError(
+            "levels", found=f"shape {values.shape}, not all in 0..1", expected="(n,) in 0..1"
+        )
+    return values
+
+
 def level_steps(levels: np.ndarray, full: int) -> np.ndarray:
     """Levels in a device's whole steps.
 
@@ -97,11 +114,6 @@ def level_steps(levels: np.ndarray, full: int) -> np.ndarray:
         (n,) int64 in 0..full, rounded to the nearest.
 
     Raises:
-        DeviceError: NaN or out of range; a level is refused, never clipped.
+        DeviceError: as `require_levels`.
     """
-    values = np.asarray(levels, float)
-    if values.ndim != 1 or not ((values >= 0) & (values <= 1)).all():
-        raise DeviceError(
-            "levels", found=f"shape {values.shape}, not all in 0..1", expected="(n,) in 0..1"
-        )
-    return np.round(values * full).astype(np.int64)
+    return np.round(require_levels(levels) * full).astype(np.int64)

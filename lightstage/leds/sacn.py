@@ -12,7 +12,7 @@ from lightstage.errors import ConfigError, DeviceError
 from lightstage.leds import e131
 from lightstage.leds.address import MULTICAST, SacnOptions
 from lightstage.leds.connection import lock_address
-from lightstage.leds.controller import Hello, LightLostError, level_steps
+from lightstage.leds.controller import Hello, LightLostError, level_steps, require_levels
 from lightstage.leds.guard import LastWill
 from lightstage.leds.unanswered import UnansweredLeds
 
@@ -73,8 +73,8 @@ class SacnLeds(UnansweredLeds):
         self._places = [(found or e131.multicast_host(u), port) for u in self._universes]
 
     def _to_steps(self, levels: np.ndarray) -> np.ndarray:
-        level_steps(levels, 1)  # a level out of range must not come back into it by the root
-        return level_steps(np.asarray(levels, float) ** (1 / self._options.gamma), self._full)
+        # Checked before the root, which could bring a level out of range back into it.
+        return level_steps(require_levels(levels) ** (1 / self._options.gamma), self._full)
 
     def _to_levels(self, steps: np.ndarray) -> np.ndarray:
         return np.asarray((steps / self._full) ** self._options.gamma)

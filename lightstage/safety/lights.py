@@ -10,7 +10,7 @@ import numpy as np
 
 from lightstage.errors import CaptureError, DeviceError, LightstageError
 from lightstage.interrupts import signals_put_off
-from lightstage.leds.controller import Hello, LedController, LightLostError, level_steps
+from lightstage.leds.controller import Hello, LedController, LightLostError, require_levels
 from lightstage.leds.guard import Guardians, last_wills
 from lightstage.rig import Rig
 from lightstage.safety.budget import FlashCounter, Spent
@@ -108,7 +108,7 @@ class SafeLights:
             LightLostError: dark was asked for meanwhile, or the device lost the light.
             DeviceError: levels out of range, or a light whose time or warmth is used up.
         """
-        level_steps(levels, 1)
+        require_levels(levels)
         if len(levels) != len(self._rig.lights):
             expected = f"{len(self._rig.lights)}, as in the rig"
             raise DeviceError("levels", found=str(len(levels)), expected=expected)

@@ -73,7 +73,7 @@ def atlas(
     total = 2 * len(cameras) + len(names)
     shape = Geometry.of(mesh, config.rows)
     flat = shape.tiles.flat
-    texels = Texels.of(
+    texels = Texels(
         shape.at(shape.vertices),
         shape.normals(),
         shape.at(_trust(folder, shape, config))[:, 0],
@@ -248,8 +248,6 @@ def _facts(
         "covered_share": len(flat) / shape.raster.face.size,
         "seen_share": float(seen.mean()),
         "views_per_seen_texel": float(sum(len(v.reading.slot) for v in views) / seen.sum()),
-        "tiles_looked_at_share": sum(v.tiles for v in views)
-        / (len(views) * (len(shape.tiles.start) - 1)),
         "texel_mm_median": shape.texel_mm_median(seen),
         "mean_confidence": float(best[seen].mean()),
     }

@@ -11,7 +11,6 @@ from lightstage.formats.half import as_float
 from lightstage.rig import Camera
 from processing.atlas.config import WeightConfig
 from processing.atlas.sampling import Reading, readable
-from processing.atlas.tiles import TileBounds, bound
 from processing.atlas.visibility import depth_buffer, silhouette_distance
 
 LEAST_WEIGHT = 1e-6
@@ -32,23 +31,12 @@ class Texels:
         normals: (k, 3) float32 unit, the mesh's.
         trust: (k,) float32 in 0..1, how far the mesh may be believed there.
         start: (t + 1,) int64, where each tile's texels begin and the last one's end.
-        bounds: of the tiles.
     """
 
     positions: np.ndarray
     normals: np.ndarray
     trust: np.ndarray
     start: np.ndarray
-    bounds: TileBounds
-
-    @classmethod
-    def of(
-        cls, positions: np.ndarray, normals: np.ndarray, trust: np.ndarray, start: np.ndarray
-    ) -> Texels:
-        """Texels with the bounds that follow: (k, 3) places in mm, (k, 3) unit normals, (k,)
-        trust, and the (t + 1,) first texels of t tiles with the end.
-        """
-        return cls(positions, normals, trust, start, bound(start, positions, normals, trust))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,13 +47,11 @@ class ViewSamples:
         window: rows and columns of the view's maps that are ever read.
         reading: where in that window.
         footprint_mm: width of a pixel on the surface.
-        tiles: how many tiles were computed; the others cannot face the view.
     """
 
     window: tuple[slice, slice]
     reading: Reading
     footprint_mm: float
-    tiles: int = 0
 
 
 class Sampler:
@@ -115,8 +101,7 @@ class Sampler:
         usable = mask & (confidence > 0)
         window = window_of(usable)
         usable = np.ascontiguousarray(usable[window])
-        tiles = texels.bounds.seen_from(camera.centre_mm, config.least_cos)
-        if not len(tiles) or not usable.any():
+        if not len(texels.positions) or not usable.any():
             none = np.zeros((0, 2), np.float32)
             nothing = Reading(usable.view(np.uint8), none[:, 0].astype(np.int32), none, none[:, 0])
             return ViewSamples(window, nothing, 1.0)
@@ -143,9 +128,8 @@ class Sampler:
             quality,
         )
         doubt, disbelief = np.cos(np.deg2rad([config.doubt_deg, config.disbelief_deg]))
-        counts = np.zeros(len(tiles), np.int64)
+        counts = np.zeros(len(texels.start) - 1, np.int64)
         _weigh(
-            tiles,
             texels.start,
             np.asarray(camera.cam_from_world, np.float64),
             np.asarray(camera.centre_mm, np.float64),
@@ -182,11 +166,11 @@ class Sampler:
             np.empty((total, 2), np.float32),
             np.empty(total, np.float32),
         )
-        first = texels.start[tiles]
+        first = texels.start[:-1]
         _gather(first, counts, ends, self._slot, reading.slot)
         _gather(2 * first, 2 * counts, 2 * ends, self._pixel.ravel(), reading.pixel.ravel())
         _gather(first, counts, ends, self._weight, reading.weight)
-        return ViewSamples(window, reading, footprint, len(tiles))
+        return ViewSamples(window, reading, footprint)
 
 
 def window_of(usable: np.ndarray) -> tuple[slice, slice]:
@@ -231,7 +215,6 @@ def _gather(
 
 @numba.njit(cache=True, parallel=True)
 def _weigh(
-    tiles: np.ndarray,
     start: np.ndarray,
     pose: np.ndarray,
     centre: np.ndarray,
@@ -252,9 +235,9 @@ def _weigh(
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens
     least_cos, bias_mm, bias_px, doubt, disbelief, finest = limits
     height, width = depth.shape
-    for i in numba.prange(len(tiles)):
-        at = start[tiles[i]]
-        for k in range(start[tiles[i]], start[tiles[i] + 1]):
+    for i in numba.prange(len(start) - 1):
+        at = start[i]
+        for k in range(start[i], start[i + 1]):
             if not trust[k] > 0:
                 continue
             px, py, pz = positions[k, 0], positions[k, 1], positions[k, 2]
@@ -296,4 +279,4 @@ def _weigh(
                 slot[at], weight[at] = k, here
                 pixel[at, 0], pixel[at, 1] = u, v
                 at += 1
-        counts[i] = at - start[tiles[i]]
+        counts[i] = at - start[i]

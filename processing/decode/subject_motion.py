@@ -4,6 +4,9 @@ A photograph and its complement resemble each other's negatives, so that neither
 the other; but moved rightly the two sum to the photograph under all lights, whatever the face
 [Wilson2010]. Both displacement fields are solved at once: polynomials over the picture, which hold
 a turning head's parallax, from rigid to cubic and from blurred to sharp.
+
+`lightstage.checks.subject_motion` solves two shifts of whole photographs while a capture runs, and
+how exactly they can be known; this solves fields that photographs can be moved by.
 """
 
 from __future__ import annotations

@@ -3,6 +3,9 @@
 Light is linear: a gradient and its complement sum to full, less what no lamp made. That holds in
 every pixel, whatever the face, so that a = I_a + I_b - I_full is the ambient light, the same for
 every pair; where pairs disagree, something moved, flickered, or another pattern was lit.
+
+`lightstage.checks.sums` fits the gains of one sum while a capture runs, with their standard errors;
+this fits the pairs of a whole session together, and takes flicker and ambient light apart.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import cv2
 import numpy as np
 
 from lightstage.formats.session import Session
+from lightstage.formats.sums import UNLIKE, UNLIKE_RATIO
 from processing.decode.completing import Pair
 
 LIT_SHARE = 0.05
@@ -21,9 +25,6 @@ LIT_SHARE = 0.05
 ROUNDS = 4
 MOST_CELLS = 40_000
 """Cells that a fit of gains takes at most, evenly spread."""
-UNLIKE, UNLIKE_RATIO = 0.2, 1.5
-"""A photograph shows another pattern when it is this far from its own and this many times nearer
-to the other."""
 BALL_ROWS = 24
 """Rows of the coarse picture in which a head is taken for a ball."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lightstage.formats.expression_sides import left_share
 from lightstage.formats.template import Modes
 
 DEVIATION = 1 / 6
@@ -13,8 +14,6 @@ MOST = 100
 """Identity modes are no more."""
 STILL_MM = 1e-3
 """A mode that moves no vertex farther is left out."""
-MIDDLE_MM = 12.0
-"""Half the width of the middle, where one side of a split expression fades into the other."""
 ICT = {
     "eye-left-closure": "eyeBlink_L", "eye-right-closure": "eyeBlink_R",
     "eye-left-opened-up": "eyeWide_L", "eye-right-opened-up": "eyeWide_R",
@@ -94,8 +93,7 @@ def expressions(
         Offsets and names; what ICT has for each side is split in two whose sum it is. Those that
         move no vertex are left out.
     """
-    share = np.clip((x_mm + MIDDLE_MM) / (2 * MIDDLE_MM), 0, 1)
-    left = (share * share * (3 - 2 * share))[:, None]
+    left = left_share(x_mm)[:, None]
     found: list[tuple[str, np.ndarray]] = []
     for name, offset in zip(names, offsets_mm, strict=True):
         if np.abs(offset).max(initial=0) <= STILL_MM:

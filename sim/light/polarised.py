@@ -166,13 +166,6 @@ class PolarisedWorld:
         return self.world.skin_peak(quantile, levels)
 
 
-def photograph_polarised(
-    world: World, camera_id: str, levels: np.ndarray, config: PolariserConfig | None = None
-) -> np.ndarray:
-    """`World.photograph` through polarisers: (s, h, w, 3) float32 under levels (s, m)."""
-    return PolarisedWorld(world, config).photograph(camera_id, levels)
-
-
 def behind_polarisers(lit: LitSubject) -> PolarisedWorld:
     """Who photographs polarised patterns; SimError unless it is the fast path."""
     if not isinstance(lit, World):

@@ -29,7 +29,8 @@ from sim.scans.pose import (
     require_fit,
     require_near,
 )
-from sim.scans.scan_file import ScanFile, read_picture, read_scan
+from sim.scans.reading import read_scan
+from sim.scans.scan_file import ScanFile, read_picture
 from sim.scans.subdivide import loop_subdivide
 
 WORLD_SHIFT_MM = np.array([0.0, 0.0, 6.0]) - FACE_MIDDLE_MM

@@ -51,21 +51,6 @@ class ScanFile:
     roughness: Picture | None = None
 
 
-def read_scan(path: Path) -> ScanFile:
-    """Read .glb, .gltf or .obj by its suffix; SimError or FormatError when it is none."""
-    from sim.scans.gltf import read_gltf
-    from sim.scans.obj import read_textured_obj
-
-    suffix = path.suffix.lower()
-    if not path.is_file():
-        raise SimError(path, found="no such file", expected="a scan: .glb, .gltf or .obj")
-    if suffix in (".glb", ".gltf"):
-        return read_gltf(path)
-    if suffix == ".obj":
-        return read_textured_obj(path)
-    raise SimError(path, found=f"suffix {path.suffix!r}", expected=".glb, .gltf or .obj")
-
-
 def read_picture(path: Path) -> Picture:
     """Read a texture's file; SimError when it is missing or no picture."""
     if not path.is_file():

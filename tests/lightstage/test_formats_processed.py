@@ -5,7 +5,7 @@ import pytest
 
 from lightstage.errors import FormatError
 from lightstage.formats.exr import write_exr
-from lightstage.formats.processed import MAPS, ProcessedFolder, texel_uv
+from lightstage.formats.processed import MAPS, ProcessedFolder
 
 
 @pytest.mark.parametrize("name", MAPS)
@@ -53,9 +53,3 @@ def test_masks_survive_and_views_are_listed(tmp_path):
     assert folder.view_ids() == ["cam0", "cam1"]
     with pytest.raises(FormatError, match=r"cam2.*no readable picture"):
         folder.read_mask("cam2")
-
-
-def test_texel_centres_run_down_from_the_top():
-    u, v = texel_uv(4, 2)
-    assert u.tolist() == [0.25, 0.75]
-    assert v.tolist() == [0.875, 0.625, 0.375, 0.125]

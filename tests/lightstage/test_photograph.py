@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from lightstage.errors import FormatError
 from lightstage.formats.exr import write_exr
 from lightstage.photo_file import identify, identify_file
+from lightstage.tiff import MAX_DIRECTORIES
 
 
 def tiff(order, make, **extra):
@@ -112,6 +113,14 @@ def test_noise_is_refused_not_crashed_on(noise, head):
     starts = (b"II*\0", b"MM\0*", b"\x76\x2f\x31\x01", b"FUJIFILMCCD-RAW")
     starts += (b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"\0MRM", b"FOVb")
     assert data.startswith(starts) or data[4:11] == b"ftypcrx" or data[6:14] == b"HEAPCCDR"
+
+
+@pytest.mark.parametrize("count", [MAX_DIRECTORIES + 1, 1 << 20])
+def test_no_more_sub_directories_of_one_are_read_than_the_limit(count):
+    made = struct.pack("<HHI4s", 271, 2, 4, b"SONY")
+    head = b"II*\0" + struct.pack("<IH", 8, 2) + made + struct.pack("<HHII", 330, 4, count, 38)
+    nowhere, beyond_the_end = bytes(4 * (count - 1)), struct.pack("<I", 1 << 31)
+    assert identify(head + bytes(4) + nowhere + beyond_the_end, "x").suffix == ".arw"
 
 
 def test_directories_in_a_ring_end():

@@ -192,7 +192,7 @@ def test_texels_without_a_view_stay_zero_and_tiny_weights_stay_finite():
 def texels_at(places, normals, trust):
     """In tiles of fifty."""
     start = np.append(np.arange(0, len(places), 50), len(places))
-    return Texels.of(places.astype(np.float32), normals.astype(np.float32), trust, start)
+    return Texels(places.astype(np.float32), normals.astype(np.float32), trust, start)
 
 
 def texels_of(mesh, normals):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightstage.checks.kernels import cells_kernel, cells_twin
+from lightstage.checks.kernels import FAR, REACH, cells_kernel
 
 BAYERS = [[[0, 1], [1, 2]], [[1, 0], [2, 1]], [[2, 1], [1, 0]], [[1, 2], [0, 1]], [[1, 1], [1, 1]]]
 
@@ -16,6 +16,53 @@ def run(counts, colours, black, white, quads):
     clipped, extremes = np.full((rows, columns, 3), -7), np.empty(4)
     cells_kernel(counts, colours, black, white, quads, light, detail, clipped, extremes)
     return light, detail, clipped, extremes
+
+
+def pooled(plane: np.ndarray, quads: int) -> np.ndarray:
+    """(rows, quads, columns, quads) of the whole cells."""
+    rows, columns = plane.shape[0] // quads, plane.shape[1] // quads
+    return plane[: rows * quads, : columns * quads].reshape(rows, quads, columns, quads)
+
+
+def cells_twin(
+    counts: np.ndarray, colours: np.ndarray, black: np.ndarray, white: float, quads: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The kernel's light, detail and clipped, of the same shapes, in plain float64."""
+    wide = counts.astype(float)
+    high, long = wide.shape[0] // 2, wide.shape[1] // 2
+    rows, columns = high // quads, long // quads
+    light = np.zeros((rows, columns, 3))
+    clipped = np.zeros((rows, columns, 3), np.int64)
+    number = np.zeros(3)
+    planes: list[np.ndarray] = []
+    for y in range(2):
+        for x in range(2):
+            plane = wide[y : 2 * high : 2, x : 2 * long : 2]
+            above = np.where(np.isfinite(plane), plane - black[y, x], 0.0)
+            full = np.where(np.isfinite(plane), plane, black[y, x]) >= white
+            colour = colours[y, x]
+            light[..., colour] += pooled(above, quads).sum(axis=(1, 3))
+            clipped[..., colour] += pooled(full, quads).sum(axis=(1, 3))
+            number[colour] += quads**2
+            if colour == 1:
+                planes.append(above)
+    light /= np.maximum(number, 1)
+    green = np.mean(planes, axis=0)
+    detail = np.zeros((rows, columns, 3))
+    if len(planes) == 2:
+        detail[..., 0] = pooled(0.5 * (planes[1] - planes[0]) ** 2, quads).mean(axis=(1, 3))
+    for index, lag in ((1, 1), (2, FAR)):
+        energy = np.zeros_like(green)
+        inner = slice(0, max(high - REACH, 0)), slice(0, max(long - REACH, 0))
+        here = green[inner]
+        tall, broad = here.shape
+        across = (
+            here - 2 * green[:tall, lag : lag + broad] + green[:tall, 2 * lag : 2 * lag + broad]
+        )
+        down = here - 2 * green[lag : lag + tall, :broad] + green[2 * lag : 2 * lag + tall, :broad]
+        energy[inner] = 0.5 * (across**2 + down**2)
+        detail[..., index] = pooled(energy, quads).mean(axis=(1, 3))
+    return light, detail, clipped
 
 
 @settings(max_examples=60)

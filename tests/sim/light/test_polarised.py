@@ -23,7 +23,6 @@ from sim.light.polarised import (
     filters,
     lamp_axes,
     lens_axis,
-    photograph_polarised,
     seen_through,
 )
 from sim.light.polarised_factors import polarised_factors
@@ -88,7 +87,7 @@ def test_a_lens_passes_the_upright_field() -> None:
 def test_without_polarisers_a_polarised_photograph_is_the_plain_one(stage: World) -> None:
     levels = np.stack([pattern_levels(name, stage.rig) for name in ("full", "x+@cross")])
     np.testing.assert_allclose(
-        photograph_polarised(stage, "cam0", levels, NONE),
+        PolarisedWorld(stage, NONE).photograph("cam0", levels),
         stage.photograph("cam0", levels),
         rtol=2e-5,
         atol=1e-6,

@@ -14,7 +14,8 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.mesh import Mesh
 from sim.errors import SimError
 from sim.scans.checks import outward_share
-from sim.scans.scan_file import decode_picture, merged, read_picture, read_scan
+from sim.scans.reading import read_scan
+from sim.scans.scan_file import decode_picture, merged, read_picture
 
 
 def corners(mesh: Mesh) -> np.ndarray:

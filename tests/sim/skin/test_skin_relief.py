@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightstage.formats.mesh import vertex_normals
-from lightstage.formats.processed import texel_uv
 from sim.errors import SimError
 from sim.head.grid import COLUMNS, ROWS
 from sim.head.maps import at_grid, grid_window, surface_normals, to_tile
@@ -208,7 +207,7 @@ def test_our_own_tile_given_as_a_foreign_texture_is_painted_alike():
 
 def test_texels_off_the_head_are_filled_and_never_scored():
     rows, columns = 96, 64
-    u, v = texel_uv(rows, columns)
+    u, v = (np.arange(columns) + 0.5) / columns, 1 - (np.arange(rows) + 0.5) / rows
     uv = np.stack(np.meshgrid(u, v), axis=-1).astype(np.float32)
     positions = to_tile(neutral_mesh().vertices, rows, columns)
     covered = np.zeros((rows, columns), bool)
