@@ -1,4 +1,4 @@
-"""Whether a run can be resumed: what it began with, beside what it is to go on with."""
+"""Whether a run can be resumed: its configuration at the start, beside the present one."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ from lightstage.formats.processed import read_map
 TEXTURE, MESH, CONFIDENCE = "texture.exr", "registered_mesh.obj", "atlas/confidence.exr"
 """In a fit's folder."""
 FEW = 4
-"""Textures below which a note says that the people's tone is not averaged out."""
+"""Textures below which a note states that the people's tone is not averaged out."""
 
 
 @dataclasses.dataclass(frozen=True)

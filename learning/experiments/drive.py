@@ -1,6 +1,6 @@
 """Many runs, several at once: in processes of this machine, or on the workers of a Dask scheduler.
 
-Each run is one task, whose folder says whether it is finished. Nothing else is remembered, so
+Each run is one task, whose folder shows whether it is finished. Nothing else is remembered, so
 that a call which was killed, or which ran out of time, is resumed by the next one.
 """
 

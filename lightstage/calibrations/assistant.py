@@ -84,7 +84,7 @@ class UnattendedAssistant:
         return True
 
     def judge(self, number: int, findings: Sequence[Finding], left: int) -> Verdict:
-        """Again while any retakes are left, then stop: what does not do is not kept unseen."""
+        """Retake while retakes are left, then stop. It never keeps a faulty pose."""
         for finding in findings:
             self._say(f"  {finding}")
         self._taken[number] = self._taken.get(number, 0) + 1

@@ -126,7 +126,7 @@ class Guardian:
         self._end(GOODBYE_S)
 
     def leave(self) -> None:
-        """Let it do its work, as if this process had been killed."""
+        """Close the pipe without a goodbye, so that the guardian turns the lights off."""
         self._end(PATIENCE_S + GOODBYE_S)
 
     def _say(self, data: bytes) -> bool:
@@ -183,7 +183,7 @@ class Guardians:
         return all(each.alive for each in self._each)
 
     def beat(self) -> None:
-        """Say that this process lives."""
+        """Report that this process lives."""
         for each in self._each:
             each.beat()
 
@@ -193,6 +193,6 @@ class Guardians:
             each.goodbye()
 
     def leave(self) -> None:
-        """Let them do their work, as if this process had been killed."""
+        """Close all pipes without a goodbye, so that the guardians turn the lights off."""
         for each in self._each:
             each.leave()

@@ -41,6 +41,7 @@ class ColourFitConfig:
     outlier_delta_e: float = 12.0
     """A patch that is held out and wrong by more, and by four times the median, is left out."""
     min_patches: int = 16
+    """Fewer usable patches of the chart's 24 are refused."""
 
 
 @dataclasses.dataclass(frozen=True)
