@@ -114,7 +114,7 @@ def domain_light(
             f"is in the light's strength; {FEW} and more average it out"
         )
     if len(chosen) < len(found):
-        notes.append(f"{len(chosen)} of {len(found)} textures were looked at, evenly among them")
+        notes.append(f"{len(chosen)} of {len(found)} textures were used, evenly among them")
     return {
         "textures": len(samples),
         "lamps": len(refined.light.rgb),

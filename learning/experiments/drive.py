@@ -168,6 +168,6 @@ def no_scheduler(address: str, reason: str, version: str) -> ConfigError:
         "--scheduler",
         found=f"nothing that answers at {address} ({reason[:120]})",
         expected="the address of a Dask scheduler, such as tcp://HOST:8786",
-        hint="Start one with `dask scheduler`, and look whether its version of distributed is "
+        hint="Start one with `dask scheduler`, and check whether its version of distributed is "
         f"{version}.",
     )

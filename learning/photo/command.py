@@ -246,7 +246,7 @@ class Marks:
         if face.presence < SURE:
             notes.append(
                 f"{path.name}: the detector is {100 * face.presence:.0f} % sure that this is a "
-                "face; look at the fit over it"
+                "face; inspect the fit over it"
             )
         return seen_points(face, FACE_MESH)
 

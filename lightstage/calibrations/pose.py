@@ -37,7 +37,7 @@ class PoseLook:
 
 
 def look_at_pose(root: Path, kind: Kind, index: int, config: CalibrationConfig) -> PoseLook:
-    """Look at the first pattern's photographs of a pose (all that are `full` or `dark`).
+    """Check the first pattern's photographs of a pose (all that are `full` or `dark`).
 
     Args:
         root: the pose's session folder, finished.

@@ -263,7 +263,7 @@ class FewLamps:
         if lamps[best] > 0.5 * off:
             return []
         light = self._rig.lights[best]
-        where = f"light from {off:.0f} degrees beside its lamp, as of light {light.id}"
+        where = f"light from {off:.0f} degrees beside its lamp, as of lamp {light.id}"
         return [
             _refusal("wrong-light", pattern, f"{where} ({light.name}) or one near it", ELSEWHERE)
         ]

@@ -12,7 +12,7 @@ class PrepareConfig:
     forced: bool = False
     """Use photographs that do not add up as their patterns do."""
     cells_per_mm: float = 2.0
-    """Of the small pictures in which motion and light are measured."""
+    """Resolution of the small pictures in which motion and light are measured, cells per mm."""
     still_px: float = 0.25
     """A photograph displaced by less (root mean square) is left as it is."""
     least_explained: float = 0.15

@@ -18,7 +18,7 @@ class RefineConfig:
     shadow_offset_mm: float = 0.1
     """Shadow rays start this far off the mesh, beyond its own roughness."""
     smoothing_mm: float = 1.0
-    """Over which the mesh's normals are averaged."""
+    """Distance over which the mesh's normals are averaged, mm."""
     occlusion_directions: int = 200
     """Directions over the sphere for ambient occlusion."""
     bounce_rays: int = 512
@@ -49,8 +49,8 @@ class RefineConfig:
     """Light is gathered at nodes so far apart and interpolated between them; in pictures whose
     pixels are larger than half of it, and everywhere for 0, each pixel's own is gathered."""
     choice_pixels: int = 16_000
-    """So many pixels of all views choose the model of light (`model_choice`); 0 takes the simplest:
-    Beckmann's round lobe, no light from skin to skin, the first of `scattering`."""
+    """Number of pixels of all views that choose the model of light (`model_choice`); 0 takes the
+    simplest: Beckmann's round lobe, no light from skin to skin, the first of `scattering`."""
     roughness: float = 0.28
     """m to start from; skin has .2 to .35."""
     roughness_pool_mm: float = 5.0

@@ -135,12 +135,12 @@ class NonrigidConfig:
     intricate_stiffness_mm: float = 1.2
     """Ears that were not found as wholes stop following below this."""
     yield_times: float = 1 / 16
-    """Where it folds, the scan pulls so many times as hard from then on: as if the plate were twice
+    """Factor of the scan's pull from then on where the mesh folds: as if the plate were twice
     as stiff there, since its resistance grows with the fourth power of the stiffness."""
     unfold_rounds: int = 5
-    """At most so many further rounds undo folds and crossings at the last stiffness."""
+    """Largest number of further rounds that undo folds and crossings at the last stiffness."""
     mend_rounds: int = 20
-    """At most so often are places that still fold or cross smoothed and checked again."""
+    """Largest number of times that places which still fold or cross are smoothed and checked."""
     gate: GateConfig = dataclasses.field(default_factory=GateConfig)
     """Which closest points count."""
     both_ways: BothWaysConfig = dataclasses.field(default_factory=BothWaysConfig)
@@ -163,9 +163,9 @@ class EarConfig:
     sought: bool = True
     """Whether ears are searched for at all."""
     stands_off_mm: float = 4.0
-    """What is farther from the skin without ears is an ear's."""
+    """Points farther from the skin without ears than this are an ear's, mm."""
     reach: float = 1.5
-    """It is sought within so many times the ear's size around its centre."""
+    """An ear is searched for within this many times its size around its centre."""
     least_points: int = 50
     """Least number of the scan's points off the skin that can be an ear."""
     radian_mm: float = 15.0
@@ -173,7 +173,7 @@ class EarConfig:
     rounds: int = 30
     """Rounds of closest points and of a similarity fitted to them."""
     points: int = 2000
-    """Of the scan's ear that are used; more add time and no information."""
+    """Points of the scan's ear that are used; more add time and no information."""
     size: tuple[float, float] = (0.6, 1.5)
     """Smallest and largest size of a found ear, relative to the template's."""
     residual_share: float = 0.25

@@ -36,7 +36,7 @@ class RatiosConfig:
     """Plain ratios of complements, nothing separated."""
 
     field: Literal["uniform", "lights"] = "uniform"
-    """As of `KampourisConfig`."""
+    """The light that normals and albedo are computed for, as of `KampourisConfig`."""
     specular: float = SKIN_F0
     """Taken off `full` and written as specular albedo everywhere."""
 
@@ -87,17 +87,17 @@ class SeparateConfig:
     half_trust_deg: float = 5.0
     """Standard deviation of a normal that halves its confidence."""
     kampouris: KampourisConfig = dataclasses.field(default_factory=KampourisConfig)
-    """Of the method `kampouris`."""
+    """Settings of the method `kampouris`."""
     ratios: RatiosConfig = dataclasses.field(default_factory=RatiosConfig)
-    """Of the method `ratios`."""
+    """Settings of the method `ratios`."""
     polarised: LobeFitConfig = dataclasses.field(default_factory=LobeFitConfig)
-    """Of the method `polarised`."""
+    """Settings of the method `polarised`."""
     linear: LobeFitConfig = dataclasses.field(
         default_factory=lambda: LobeFitConfig(specular_pool_mm=4.0, specular_prior_share=3.0)
     )
-    """Of the method `linear`."""
+    """Settings of the method `linear`."""
     mux: MuxConfig = dataclasses.field(default_factory=MuxConfig)
-    """Of the method `mux`."""
+    """Settings of the method `mux`."""
 
 
 def relief_of(own: Relief, config: SeparateConfig) -> Relief:

@@ -54,7 +54,7 @@ class CheckConfig:
     uv_rows: int = 3072
     """Overlaps are searched for at the texels of a texture of so many rows."""
     texture_rows: int = 6144
-    """Of the atlas, whose texels are the unit of sizes."""
+    """Rows of the atlas, whose texels are the unit of sizes."""
     least_open_sky: float = 0.08
     """A vertex that sees less than this share of all directions may be under other skin."""
     hidden_rings: int = 2
@@ -113,4 +113,4 @@ class PopulationConfig:
     modes: int = 20
     """The first of its identity modes; with 100 no shape from photographs was nearer."""
     smooth_mm: float = 6.0
-    """Over so much the modes are smoothed."""
+    """Distance over which the modes are smoothed, mm."""

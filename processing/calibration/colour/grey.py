@@ -21,7 +21,7 @@ class GreyConfig:
     radius_mm: float = 38.1
     """Radius of the ball, mm, about: its outlines measure it."""
     reflectance: float = 0.18
-    """Of the ball, as its maker states or a spectrometer measured it."""
+    """Reflectance of the ball, as its maker states or a spectrometer measured it."""
     sets_the_scale: bool = False
     """Whether colours are scaled to it; else to the chart's neutral patches, and it is a check."""
     facing: float = 0.5
