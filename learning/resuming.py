@@ -26,7 +26,7 @@ def require_same_run(checkpoint: Checkpoint, config: Any, store: Store) -> None:
 
     Args:
         checkpoint: the run's last one.
-        config: of the training that is to go on.
+        config: of the training that is to be resumed.
         store: its data.
 
     Raises:

@@ -38,7 +38,7 @@ class PipelineConfig:
     """The views' maps in one texture."""
 
     def as_forced(self) -> PipelineConfig:
-        """The same, going on where photographs contradict each other or their patterns."""
+        """The same, continuing where photographs contradict each other or their patterns."""
         prepare = dataclasses.replace(self.decode.prepare, forced=True)
         return dataclasses.replace(
             self,

@@ -153,7 +153,7 @@ class _Problem:
         return np.concatenate([self._begin.along, self._strength.ravel(), [gloss]])
 
     def answer(self, values: np.ndarray, covariance: np.ndarray, cost: float) -> Explained:
-        """What values of the unknowns mean."""
+        """The skin and lamps of (u,) values of the unknowns, with their (u, u) covariance."""
         along, strength, gloss = self._parts(values)
         faint = self._begin.rgb <= 0
         count = len(along)

@@ -58,7 +58,7 @@ class SeparateConfig:
     method: Literal["auto", "colour", "kampouris", "ratios", "polarised", "linear", "mux"] = "auto"
     """`auto`: by what the session's patterns are."""
     forced: bool = False
-    """Go on where more than half of the face is ill-posed."""
+    """Continue where more than half of the face is ill-posed."""
     normals: Literal["auto", "chroma", "red", "blue", "mean"] = "auto"
     """The part of RGB that diffuse normals are taken from; `auto`: the method's own."""
     iterations: int = 5
