@@ -134,7 +134,7 @@ def write_people(title: str, people: list[Who], rows: int) -> None:
             "faces not found",
         ],
         body,
-        f"One photograph of 768 x 1024 px each, 8 bits, from in front, focal length told, lights "
+        f"One photograph of 768 x 1024 px each, 8 bits, from in front, focal length given, lights "
         f"{', '.join(LIGHTS)} in turn; textures of {rows} rows; over skin of the face. Normals are "
         "encoded as (n + 1) / 2; the true mesh has no pores. New lights: clamshell, street and a "
         "low lamp, by sim on the true shape, with the avatar's normals and the albedo of each "

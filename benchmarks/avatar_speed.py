@@ -70,8 +70,8 @@ print(json.dumps({"taken": taken, "wall_s": time.perf_counter(), "peak_gib": pea
 def measured(code: str, words: list[str]) -> dict[str, Any]:
     """Seconds of the wall and of the processor by stage, and the largest memory, of a process."""
     line = [sys.executable, "-c", TIMED + code + TOLD, *words]
-    told = subprocess.run(line, check=True, capture_output=True, text=True)
-    facts: dict[str, Any] = json.loads(told.stdout.splitlines()[-1])
+    done = subprocess.run(line, check=True, capture_output=True, text=True)
+    facts: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return facts
 
 
@@ -110,7 +110,7 @@ def measure_speed(title: str, sizes: tuple[int, ...]) -> None:
         f"{title}: seconds and memory by stage",
         ["rows", *(f"{stage} s" for stage in STAGES), "all s", "peak GiB", "albedo dB"],
         body,
-        "One photograph of 768 x 1024 px, its focal length not told, to glTF and page, in a "
+        "One photograph of 768 x 1024 px, its focal length not given, to glTF and page, in a "
         "process of its own. Seconds of the processor, in brackets of the wall while others used "
         f"the machine. Albedo over skin of the face at {TRUTH_ROWS} rows.",
     )

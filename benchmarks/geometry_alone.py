@@ -17,7 +17,7 @@ from benchmarks.record import record
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.fusion import alone_share
 from processing.reconstruction.stereo import match_views
-from processing.reconstruction.two_passes import twice
+from processing.reconstruction.two_passes import reconstruct_in_two_rounds
 
 CONFIG = ReconstructConfig()
 SETTINGS = {
@@ -41,7 +41,7 @@ def main() -> None:
     rows = []
     for name, config in SETTINGS.items():
         start = time.process_time()
-        _, points, mesh, _ = twice(views, found, config, lights)
+        _, points, mesh, _ = reconstruct_in_two_rounds(views, found, config, lights)
         seconds = time.process_time() - start
         got = score(case.mesh_placed(mesh), case.skin)
         rows.append(

@@ -26,7 +26,7 @@ from processing.lighting.lights import PatternLights
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.stage import read_views
 from processing.reconstruction.stereo import match_views
-from processing.reconstruction.two_passes import Depths, meshed, twice
+from processing.reconstruction.two_passes import Depths, meshed, reconstruct_in_two_rounds
 from processing.reconstruction.views import View
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
@@ -112,5 +112,5 @@ def timed(
 ) -> tuple[Depths, Mesh, float]:
     """Our depths and mesh, in the cameras' world, and processor seconds."""
     start = time.process_time()
-    found, _, mesh, _ = twice(views, match_views(views, config), config, lights)
+    found, _, mesh, _ = reconstruct_in_two_rounds(views, match_views(views, config), config, lights)
     return found, mesh, time.process_time() - start

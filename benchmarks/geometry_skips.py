@@ -31,7 +31,7 @@ from processing.lighting.lights import PatternLights
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.small_views import matched_times, small_view
 from processing.reconstruction.stereo import make_stereo, match_views, pick_sources
-from processing.reconstruction.two_passes import twice
+from processing.reconstruction.two_passes import reconstruct_in_two_rounds
 from processing.reconstruction.views import (
     Level,
     View,
@@ -87,7 +87,9 @@ class Surfaces:
         masks = finest_masks(views, level)
         seen = dataclasses.replace(level, masks=masks)
         kept = [np.where(mask, depth, 0) for mask, depth in zip(masks, depths, strict=True)]
-        mesh = self.case.mesh_placed(twice(views, (seen, kept, costs), self.config, self.lights)[2])
+        mesh = self.case.mesh_placed(
+            reconstruct_in_two_rounds(views, (seen, kept, costs), self.config, self.lights)[2]
+        )
         surface, skin = Surface(mesh), self.case.skin
         within = float((surface.nearest(skin.places)[0] < 0.5).mean())
         return surface.signed(skin.places, skin.normals), within

@@ -21,7 +21,7 @@ from benchmarks.geometry_scores import score
 from benchmarks.record import record
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.stereo import match_views
-from processing.reconstruction.two_passes import twice
+from processing.reconstruction.two_passes import reconstruct_in_two_rounds
 
 CONFIG = ReconstructConfig()
 TWO_PAIRS = ("full", "x+", "x-", "y+", "y-")
@@ -89,7 +89,7 @@ def measure(case: Case, setting: Setting) -> tuple[object, ...]:
         views = [views[k] for k in sorted(NEAREST[: setting.views])]
         depths = match_views(views, config)
         matched = time.process_time() - used
-        mesh = case.mesh_placed(twice(views, depths, config, lights)[2])
+        mesh = case.mesh_placed(reconstruct_in_two_rounds(views, depths, config, lights)[2])
         wall, used = time.perf_counter() - wall, time.process_time() - used
     finally:
         numba.set_num_threads(before)
@@ -118,7 +118,7 @@ def main() -> None:
     small = dataclasses.replace(CONFIG, finest_rows=150, iterations=(1,))
     # Compiled before the clock starts.
     views, lights = case.views(small)
-    twice(views, match_views(views, small), small, lights)
+    reconstruct_in_two_rounds(views, match_views(views, small), small, lights)
     for curve in chosen.curves.split(","):
         settings = CURVES[curve]
         if chosen.rows is not None:

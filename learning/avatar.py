@@ -46,7 +46,7 @@ def avatar_command(
 ) -> dict[str, Any]:
     """Make a head of photographs of one person: OUT/fit, OUT/detail, OUT/export, a page; the facts.
 
-    A texture too small for pores has no OUT/detail; a note says so.
+    A texture too small for pores has no OUT/detail; a note states it.
 
     Args:
         request: of the fit; its `out` is the avatar's folder.

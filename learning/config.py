@@ -36,7 +36,7 @@ class TrainingConfig(abc.ABC):
     """
 
     family: ClassVar[str]
-    """Of networks, as checkpoints name it."""
+    """Name of the family of networks, as in checkpoints."""
     most_rows: ClassVar[int | None] = None
     """Rows at most at which textures are trained on; finer ones are shrunk to them."""
     lights: RandomLightConfig = dataclasses.field(default_factory=RandomLightConfig)

@@ -99,7 +99,7 @@ def moved(value: T, device: torch.device) -> T:
 
 @contextlib.contextmanager
 def memory_of(device: torch.device, where: str | Path, hint: str) -> Iterator[None]:
-    """Tell that a GPU's memory is full as one error.
+    """Report that a GPU's memory is full as one error.
 
     Args:
         device: what is worked on.

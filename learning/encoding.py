@@ -50,7 +50,7 @@ DETAIL_MOST = 2.0
 
 
 def srgb_from_linear(rgb: Tensor, most: float = 1.0) -> Tensor:
-    """The curve of sRGB for values clipped to 0..`most` [IEC61966]."""
+    """The curve of sRGB for values of any shape, clipped to 0..`most` [IEC61966]."""
     x = rgb.clamp(0.0, most)
     return torch.where(
         x <= 0.0031308, 12.92 * x, 1.055 * x.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
@@ -58,7 +58,7 @@ def srgb_from_linear(rgb: Tensor, most: float = 1.0) -> Tensor:
 
 
 def linear_from_srgb(image: Tensor) -> Tensor:
-    """The inverse of `srgb_from_linear` for values of at least 0."""
+    """The inverse of `srgb_from_linear` for values of any shape and of at least 0."""
     return torch.where(
         image <= 0.04045, image / 12.92, ((image.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
     )
@@ -153,8 +153,8 @@ def turn(vectors: Tensor, normal: Tensor, back: bool = False) -> Tensor:
     """Turn (B, 3, h, w) vectors by the smallest rotation that takes +z to a unit normal.
 
     Args:
-        vectors: to be turned.
-        normal: (B, 3, h, w).
+        vectors: (B, 3, h, w), to be turned.
+        normal: (B, 3, h, w), unit.
         back: the inverse, from the normal's frame to the head's axes being the forward one.
     """
     x, y, z = normal.unbind(dim=1)
@@ -168,12 +168,12 @@ def turn(vectors: Tensor, normal: Tensor, back: bool = False) -> Tensor:
 
 
 def encode_colour(rgb_linear: Tensor, white: Tensor | float = 1.0) -> Tensor:
-    """Linear 0..white (clipped) to sRGB in -1..1."""
+    """(B, 3, h, w) linear 0..white (clipped) to sRGB in -1..1; white is 1 or (B, 3, 1, 1)."""
     return 2 * srgb_from_linear(rgb_linear / white) - 1
 
 
 def decode_colour(channels: Tensor, white: Tensor | float = 1.0) -> Tensor:
-    """-1..1 to linear 0..white."""
+    """(B, 3, h, w) in -1..1 to linear 0..white; white is 1 or (B, 3, 1, 1)."""
     return linear_from_srgb((channels + 1) / 2) * white
 
 
@@ -263,7 +263,11 @@ class Reflectance:
 
 
 def decode_maps(channels: Tensor, reference: Reference) -> Reflectance:
-    """Ten channels of a patch's own maps (those behind them are dropped) to reflectance.
+    """Reflectance of a patch's own maps.
+
+    Args:
+        channels: (B, 10 or more, h, w); those after the first ten are dropped.
+        reference: of the encoding.
 
     Normals shorter than 1 keep their length: to make them unit would multiply their gradient by
     its inverse, without bound in an untrained network, whose outputs are near zero. Shade them with
@@ -278,7 +282,7 @@ def decode_maps(channels: Tensor, reference: Reference) -> Reflectance:
 
 
 def shrink(image: Tensor, size: tuple[int, int]) -> Tensor:
-    """Resize to (h, w) by averaging over areas."""
+    """Resize a (B, c, H, W) image to (B, c, h, w) by averaging over areas."""
     return functional.interpolate(
         image, size=size, mode="bilinear", align_corners=False, antialias=True
     )

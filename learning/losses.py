@@ -56,6 +56,10 @@ def maps_loss(found: Tensor, batch: Batch) -> Tensor:
 
     Not of the whole albedo: its eyes and brows have more contrast than a patch of skin, and a short
     training would spend itself on drawing them, into the patch's maps too.
+
+    Args:
+        found: (B, 13, h, w), the generator's output.
+        batch: the truth.
     """
     own = slice(0, OWN_CHANNELS)
     return masked_mean((found[:, own] - batch.target[:, own]).abs(), batch.covered)

@@ -1,4 +1,4 @@
-"""Whether a run can be resumed: what it began with, beside what it is to go on with."""
+"""Whether a run can be resumed: its configuration at the start, beside the present one."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def require_same_run(checkpoint: Checkpoint, config: Any, store: Store) -> None:
 
     Args:
         checkpoint: the run's last one.
-        config: of the training that is to go on.
+        config: of the training that is to be resumed.
         store: its data.
 
     Raises:

@@ -28,7 +28,7 @@ COMMANDS = {
     ),
     "devices": (
         "lightstage.capture.devices_command",
-        "Look at lights and cameras as a capture does before its first light; nothing is lit.",
+        "Check lights and cameras as a capture does before its first light; nothing is lit.",
     ),
     "sessions": (
         "lightstage.day.command",

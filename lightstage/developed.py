@@ -135,7 +135,7 @@ _CMYK = "Printing inks do not give light: export the picture as RGB with 16 bits
 
 
 def _check_size(width: int, height: int, path: Path) -> None:
-    """Refuse what its header says is too large to be decoded."""
+    """Refuse a picture whose size by its header is too large to be decoded."""
     if width * height > MOST_PIXELS:
         raise FormatError(
             path,

@@ -9,7 +9,7 @@ from typing import Literal
 from lightstage.counting import counted
 
 Severity = Literal["refuse", "retake", "warn", "note"]
-"""``refuse``: no light goes on; ``retake``: this photograph or pattern does not do; ``warn``: the
+"""``refuse``: no light goes on; ``retake``: this photograph or pattern is not usable; ``warn``: the
 operator should know; ``note``: for the record."""
 
 

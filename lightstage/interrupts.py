@@ -148,7 +148,7 @@ def on_signals(notify: Callable[[], object]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def first_signal_noted() -> Iterator[Noted]:
-    """Only note the first signal: it interrupts nothing, then or later; who asks `came` ends.
+    """Record the first signal without an interrupt. Code that polls `came` ends by itself.
 
     For long work whose parts belong together, such as a training's steps. A second signal, later
     than `AGAIN_S` after the first, raises KeyboardInterrupt at once.

@@ -57,7 +57,7 @@ def check_command(
     drawn = "" if out is None else f", drawn in {out}"
     odd = counted(len(found), "odd thing") if found else "nothing odd"
     finish(
-        f"{rig}: {counted(len(the_rig.lights), 'light')}{wired}, "
+        f"{rig}: {counted(len(the_rig.lights), 'lamp')}{wired}, "
         f"{counted(len(the_rig.cameras), 'camera')}, {odd}{drawn}",
         {
             "rig": str(rig),

@@ -12,9 +12,9 @@ from lightstage.rig import Camera, Rig
 USUAL_RADIUS_MM = (250.0, 10_000.0)
 """Stages around a head, or around a person, have such radii."""
 RADIUS_SPREAD = 0.1
-"""Share of the median distance by which a light may stand nearer or farther."""
+"""Share of the median distance by which a lamp may be nearer or farther."""
 CLOSE_SHARE = 0.1
-"""Share of the median distance to the nearest neighbour: nearer lights are in one place."""
+"""Share of the median distance to the nearest neighbour: nearer lamps are in one place."""
 ONE_SIDED = 0.5
 """Length of the lights' mean direction above which they do not stand all around."""
 GAIN_RATIO = 3.0
@@ -102,7 +102,7 @@ def _of_lights(rig: Rig) -> list[Finding]:
                 "distance",
                 _named(rig, far),
                 f"{distance[far].min():.4g} to {distance[far].max():.4g} mm from the origin",
-                f"about {radius:.4g} mm, as most lights",
+                f"about {radius:.4g} mm, as most lamps",
                 "The origin is the sphere's centre.",
             )
         )
@@ -113,9 +113,9 @@ def _of_lights(rig: Rig) -> list[Finding]:
             _warn(
                 "close",
                 _named(rig, close),
-                f"{apart[close].min():.3g} mm from another light",
+                f"{apart[close].min():.3g} mm from another lamp",
                 f"about {np.median(apart):.3g} mm, as most",
-                "Is one light in the file twice? Emitters of several colours in one place need a "
+                "Is one lamp in the file twice? Emitters of several colours in one place need a "
                 "`colour` each.",
             )
         )
@@ -128,7 +128,7 @@ def _of_lights(rig: Rig) -> list[Finding]:
                 "one-sided",
                 "lights",
                 f"most of them toward {side}",
-                "lights all around the face",
+                "lamps all around the face",
                 "Gradients then show little of surfaces that face away from them.",
             )
         )
@@ -146,14 +146,12 @@ def _of_lights(rig: Rig) -> list[Finding]:
                 _named(rig, odd),
                 f"rgb_gain of {gains[odd].min():.3g} to {gains[odd].max():.3g}",
                 f"about {usual:.3g}, as most",
-                "A light of gain 0 is taken for one that is broken.",
+                "A lamp of gain 0 is taken for one that is broken.",
             )
         )
     twice = [name for name, n in Counter(light.name for light in rig.lights).items() if n > 1]
     if twice:
-        found.append(
-            _warn("name", ", ".join(twice[:NAMED]), "a name of several lights", "one each")
-        )
+        found.append(_warn("name", ", ".join(twice[:NAMED]), "a name of several lamps", "one each"))
     return found
 
 
@@ -213,7 +211,7 @@ def _of_camera(camera: Camera, centre: np.ndarray, radius: float) -> list[Findin
                 "distance",
                 where,
                 f"{distance:.4g} mm from the origin",
-                f"about the lights' {radius:.4g} mm",
+                f"about the lamps' {radius:.4g} mm",
                 "Is its translation in mm? It is that of cam_from_world, not the camera's place.",
             )
         )

@@ -62,7 +62,7 @@ def draw_rig(rig: Rig) -> np.ndarray:
             FAINT,
         )
     _text(
-        canvas, f"lights at {radius:.4g} mm", (middle[0] + 60, middle[1] + SIDE_PX / 2 + 20), FAINT
+        canvas, f"lamps at {radius:.4g} mm", (middle[0] + 60, middle[1] + SIDE_PX / 2 + 20), FAINT
     )
     return canvas
 

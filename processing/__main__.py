@@ -57,7 +57,7 @@ TemplatePath = typer.Option(
 )
 Overwrite = typer.Option(False, "--overwrite", help="Replace what is there.")
 Force = typer.Option(
-    False, "--force", help="Go on where photographs contradict each other or their patterns."
+    False, "--force", help="Continue where photographs contradict each other or their patterns."
 )
 ConfigPath = typer.Option(None, "--config", help="TOML file with one table for each stage.")
 AtlasRows = typer.Option(

@@ -25,14 +25,20 @@ class PipelineConfig:
     """Configuration of all stages; a TOML file has one table for each."""
 
     decode: DecodeConfig = dataclasses.field(default_factory=DecodeConfig)
+    """Photographs to linear colour."""
     separate: SeparateConfig = dataclasses.field(default_factory=SeparateConfig)
+    """Coarse maps of each view."""
     reconstruct: ReconstructConfig = dataclasses.field(default_factory=ReconstructConfig)
+    """The mesh."""
     refine: RefineConfig = dataclasses.field(default_factory=RefineConfig)
+    """Exact maps of each view."""
     register: RegisterConfig = dataclasses.field(default_factory=RegisterConfig)
+    """The template on the mesh."""
     atlas: AtlasConfig = dataclasses.field(default_factory=AtlasConfig)
+    """The views' maps in one texture."""
 
     def as_forced(self) -> PipelineConfig:
-        """The same, going on where photographs contradict each other or their patterns."""
+        """The same, continuing where photographs contradict each other or their patterns."""
         prepare = dataclasses.replace(self.decode.prepare, forced=True)
         return dataclasses.replace(
             self,

@@ -26,16 +26,16 @@ class LitSurfaces:
     """Several heads' texels, one after the other, as one surface."""
 
     def __init__(self, samples: list[Sample], camera_mm: np.ndarray) -> None:
-        """Heads in the head frame, and from where their highlights are seen."""
+        """Heads in the head frame, and the (3,) mm from where their highlights are seen."""
         self._parts = [LitSurface(s.mesh, s.raster, camera_mm) for s in samples]
         self._ends = np.cumsum([int(s.raster.covered.sum()) for s in samples])
 
     def split(self, values: np.ndarray, axis: int = 0) -> list[np.ndarray]:
-        """Values of all texels, head by head."""
+        """Values of all n texels, which are along `axis`, head by head."""
         return np.split(values, self._ends[:-1], axis=axis)
 
     def seen(self, lamps_mm: np.ndarray) -> np.ndarray:
-        """See `LitSurface.seen`."""
+        """(L, n) share of each of (L, 3) lamps that each texel of all heads sees."""
         return np.concatenate([part.seen(lamps_mm) for part in self._parts], axis=1)
 
     def under(
@@ -44,7 +44,7 @@ class LitSurfaces:
         shininess: float = SHININESS,
         seen: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """See `LitSurface.under`."""
+        """(n, L) irradiance and (n, L) lobe, for (L, 3) lamps; `seen` is (L, n) of `seen`."""
         known = [None] * len(self._parts) if seen is None else self.split(seen, 1)
         each = [
             part.under(lamps_mm, shininess, own)
@@ -54,7 +54,7 @@ class LitSurfaces:
         return irradiance, lobe
 
     def openness(self, dome: np.ndarray | None = None) -> np.ndarray:
-        """See `LitSurface.openness`."""
+        """(n,) share of even light of each texel; `dome` is (L, n) of `seen` for `DOME_MM`."""
         own = [None] * len(self._parts) if dome is None else self.split(dome, 1)
         return np.concatenate([p.openness(o) for p, o in zip(self._parts, own, strict=True)])
 

@@ -30,7 +30,7 @@ from lightstage.formats.processed import read_map
 TEXTURE, MESH, CONFIDENCE = "texture.exr", "registered_mesh.obj", "atlas/confidence.exr"
 """In a fit's folder."""
 FEW = 4
-"""Textures below which a note says that the people's tone is not averaged out."""
+"""Textures below which a note states that the people's tone is not averaged out."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,7 +114,7 @@ def domain_light(
             f"is in the light's strength; {FEW} and more average it out"
         )
     if len(chosen) < len(found):
-        notes.append(f"{len(chosen)} of {len(found)} textures were looked at, evenly among them")
+        notes.append(f"{len(chosen)} of {len(found)} textures were used, evenly among them")
     return {
         "textures": len(samples),
         "lamps": len(refined.light.rgb),

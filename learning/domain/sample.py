@@ -10,7 +10,7 @@ import numpy as np
 
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.render.uv import UvRaster, rasterise
-from learning.whole.infer import look
+from learning.whole.infer import run_network
 from learning.whole.refine import Answer
 from lightstage.formats.mesh import Mesh
 
@@ -56,7 +56,7 @@ def sample_of(
     named: tuple[str | Path, str | Path],
     known: np.ndarray | None = None,
 ) -> Sample:
-    """Ask the network of a texture.
+    """Run the network on a texture.
 
     Args:
         network: in evaluation mode.
@@ -71,7 +71,7 @@ def sample_of(
     """
     if known is not None:
         texture = texture * known[..., None]
-    looked = look(network, texture, mesh, None, named, network_sees=known)
-    pose = looked.head_from_mesh
+    output = run_network(network, texture, mesh, None, named, network_sees=known)
+    pose = output.head_from_mesh
     head = mesh.with_vertices(mesh.vertices @ pose[:, :3].T + pose[:, 3])
-    return Sample(str(named[0]), looked.answer, head, rasterise(head, *looked.answer.seen.shape))
+    return Sample(str(named[0]), output.answer, head, rasterise(head, *output.answer.seen.shape))

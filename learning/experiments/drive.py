@@ -1,6 +1,6 @@
 """Many runs, several at once: in processes of this machine, or on the workers of a Dask scheduler.
 
-Each run is one task, whose folder says whether it is finished. Nothing else is remembered, so
+Each run is one task, whose folder shows whether it is finished. Nothing else is remembered, so
 that a call which was killed, or which ran out of time, is resumed by the next one.
 """
 
@@ -168,6 +168,6 @@ def no_scheduler(address: str, reason: str, version: str) -> ConfigError:
         "--scheduler",
         found=f"nothing that answers at {address} ({reason[:120]})",
         expected="the address of a Dask scheduler, such as tcp://HOST:8786",
-        hint="Start one with `dask scheduler`, and look whether its version of distributed is "
+        hint="Start one with `dask scheduler`, and check whether its version of distributed is "
         f"{version}.",
     )

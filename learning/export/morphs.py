@@ -95,7 +95,7 @@ def morph_targets(
     Args:
         template: folder.
         mesh: of the template's vertices, in any rigid pose.
-        head_from_mesh: (3, 4), to the template's axes; where None the vertices tell it.
+        head_from_mesh: (3, 4), to the template's axes; None estimates it from the vertices.
 
     Returns:
         By ARKit's name (n, 3) offsets in mm; and the names of expressions that ARKit lacks.

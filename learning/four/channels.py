@@ -103,17 +103,17 @@ def pairs(batch: Batch) -> dict[str, Batch]:
     }
 
 
-def one_after_the_other(say: Callable[[str, Tensor], Tensor], seen: Seen) -> Reflectance:
-    """The networks' answer for a texture, each given what those before it found.
+def infer_in_sequence(run_part: Callable[[str, Tensor], Tensor], seen: Seen) -> Reflectance:
+    """Output of the four networks; each gets the results of those before it.
 
     Args:
-        say: a part and its input channels to its output channels.
+        run_part: of a part's name and its (B, C, h, w) input, its (B, c, h, w) output.
         seen: the texture.
     """
     channels = seen.texture.new_zeros(len(seen.texture), OWN_CHANNELS, *seen.texture.shape[2:])
     albedo = None
     for part, (_, own) in PARTS.items():
-        channels[:, own] = say(part, seen.input_of(part, albedo))
+        channels[:, own] = run_part(part, seen.input_of(part, albedo))
         if part == DIFFUSE_ALBEDO:
             albedo = decode_maps(channels, seen.reference).diffuse_albedo
     return decode_maps(channels, seen.reference)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from learning.data import DataConfig
 from learning.encoding import shrink, smoothed_normal
-from learning.four.channels import DIFFUSE_ALBEDO, PARTS, Seen, one_after_the_other
+from learning.four.channels import DIFFUSE_ALBEDO, PARTS, Seen, infer_in_sequence
 from learning.four.networks import FourNetworks
 from learning.infer import Inferred, Prepared, finish_maps, prepare, run_tiles
 from learning.maps import from_batch, to_batch, typical_texel_mm
@@ -37,7 +37,7 @@ def infer_four(
     given = prepare(data, texture, mesh, head_from_mesh, named)
     spread: list[Tensor] = []
 
-    def say(part: str, inputs: Tensor) -> Tensor:
+    def run_part(part: str, inputs: Tensor) -> Tensor:
         before = len(spread)
 
         def tile(done: int, total: int) -> None:
@@ -48,12 +48,12 @@ def infer_four(
         return found
 
     with torch.inference_mode():
-        found = one_after_the_other(say, seen_texture(given))
+        found = infer_in_sequence(run_part, seen_texture(given))
     return finish_maps(found, spread[list(PARTS).index(DIFFUSE_ALBEDO)], given)
 
 
 def seen_texture(given: Prepared) -> Seen:
-    """What is known of a whole texture before any network has spoken."""
+    """What is known of a whole texture before any network has run."""
     surface = (given.position_mm, given.shape_normal, _smooth_normal(given))
     return Seen(given.lit, given.covered, *surface, given.reference)
 

@@ -10,7 +10,7 @@ from learning.checkpoint import Checkpoint, load_network, unfilled
 from learning.data import Batch
 from learning.devices import device_of
 from learning.encoding import Reflectance
-from learning.four.channels import PARTS, one_after_the_other, seen_of
+from learning.four.channels import PARTS, infer_in_sequence, seen_of
 from learning.four.config import FourTrainConfig
 from learning.networks.generator import Generator, GeneratorConfig
 
@@ -19,11 +19,11 @@ class FourNetworks(nn.ModuleDict):
     """A generator for each of `PARTS`, by its name."""
 
     def answers(self, batch: Batch) -> Reflectance:
-        """What they find on patches, each given what those before it found."""
-        return one_after_the_other(self.say, seen_of(batch))
+        """The networks' output on patches; each gets the results of those before it."""
+        return infer_in_sequence(self.run_part, seen_of(batch))
 
-    def say(self, part: str, inputs: Tensor) -> Tensor:
-        """One part's output, where its input is; the networks may be on another device."""
+    def run_part(self, part: str, inputs: Tensor) -> Tensor:
+        """One part's output, on its input's device; the networks may be on another device."""
         found: Tensor = self.generator(part)(inputs.to(device_of(self)))
         return found.to(inputs.device)
 

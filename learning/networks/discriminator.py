@@ -46,7 +46,14 @@ class PatchDiscriminator(nn.Module):
         self.stages = nn.ModuleList(stages)
 
     def forward(self, image: Tensor) -> list[Tensor]:
-        """Features of every stage; the last is the verdict."""
+        """Features of every stage; the last is the verdict.
+
+        Args:
+            image: (B, channels, h, w).
+
+        Returns:
+            Of each stage (B, its channels, its h, its w); the verdict has one channel.
+        """
         features = []
         for stage in self.stages:
             image = stage(image)
@@ -64,7 +71,7 @@ class Discriminators(nn.Module):
         )
 
     def forward(self, image: Tensor) -> list[list[Tensor]]:
-        """Features per scale and stage."""
+        """Features of a (B, channels, h, w) image, by scale and stage of `PatchDiscriminator`."""
         found = []
         for scale in self.scales:
             found.append(scale(image))

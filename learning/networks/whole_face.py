@@ -95,7 +95,7 @@ class Attention(nn.Module):
 
     The places of a texture are the same for all faces, so that a head learns where to look, and
     from the features whether there is something to see. A mean over the whole face would hold the
-    eyes, by which light can be told from skin, at a hundredth.
+    eyes, which distinguish light from skin, at a hundredth.
     """
 
     def __init__(self, channels: int, places: int, heads: int) -> None:

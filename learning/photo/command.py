@@ -142,7 +142,7 @@ def read_all(request: FitRequest, template: Template) -> tuple[list[Photograph],
 
 
 def _with_colour(photograph: Photograph, network: WholeFaceNetwork, notes: list[str]) -> Photograph:
-    """A photograph; one in black and white has the mean person's colour, and a note says so."""
+    """A photograph; one in black and white has the mean person's colour, and a note states it."""
     if not has_no_colour(photograph.rgb_linear):
         return photograph
     notes.append(
@@ -246,7 +246,7 @@ class Marks:
         if face.presence < SURE:
             notes.append(
                 f"{path.name}: the detector is {100 * face.presence:.0f} % sure that this is a "
-                "face; look at the fit over it"
+                "face; inspect the fit over it"
             )
         return seen_points(face, FACE_MESH)
 

@@ -10,7 +10,7 @@ EYES = (slice(36, 42), slice(42, 48))
 SKIN = (2, 14, 29, 30, 31, 35)
 """Beside these landmarks (jaw, nose) nearly every photograph shows skin."""
 LEAST_PX = 8
-"""Least width of an eye in which its white can be told from its iris."""
+"""Least width of an eye in which its white can be distinguished from its iris."""
 AS_BRIGHT, AS_COLOURED, LEAST_SHARE = 0.4, 0.7, 0.08
 """White is at least so bright beside skin, at most so saturated, and this share of an open eye."""
 LEAST_SATURATION = 0.02

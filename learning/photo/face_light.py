@@ -31,7 +31,7 @@ class Lit:
     weight: np.ndarray
 
     def kept(self, chosen: np.ndarray) -> Lit:
-        """Of some of the places."""
+        """The light of some of the places, by their (c,) indices."""
         return dataclasses.replace(
             self,
             seen=self.seen[:, chosen],

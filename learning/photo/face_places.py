@@ -73,7 +73,7 @@ class FacePlaces:
     rim: np.ndarray
 
     def kept(self, chosen: np.ndarray) -> FacePlaces:
-        """Some of the places, by their indices."""
+        """Some of the places, by their (c,) indices."""
         parts = [self.touching[self.first[s] : self.first[s + 1]] for s in chosen]
         ends = np.cumsum([0, *(len(p) for p in parts)])
         return dataclasses.replace(
@@ -90,7 +90,7 @@ class FacePlaces:
 
 
 def part_of(model: ShapeModel, chosen: np.ndarray) -> ShapeModel:
-    """The model of some vertices."""
+    """The model of some vertices, by their (s,) indices."""
     return dataclasses.replace(
         model,
         mean=model.mean[chosen],
@@ -202,7 +202,16 @@ def _luminance_of(log_albedo: np.ndarray, uv: np.ndarray) -> np.ndarray:
 def normals_with_slopes(
     places: FacePlaces, identity: np.ndarray, expression: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(s, 3) unit normals of the places, and (s, 3, k + m) their slopes by the coefficients."""
+    """Normals of the places and how they turn.
+
+    Args:
+        places: s of them.
+        identity: (k,) coefficients.
+        expression: (m,) coefficients.
+
+    Returns:
+        (s, 3) unit normals, and (s, 3, k + m) their slopes by the coefficients.
+    """
     shape = places.hull.vertices(identity, expression)
     found: tuple[np.ndarray, np.ndarray] = turned_normals(
         shape, places.modes, places.corners, places.first, places.touching

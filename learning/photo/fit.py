@@ -380,9 +380,17 @@ class _Texels:
         network_sees: np.ndarray | None = None,
         own: OwnShares = OF_TRUE_SHAPES,
     ) -> Inferred:
-        """Skin and light of the texels that are shown; see `infer_whole_face`.
+        """Skin and light of the texels that are shown; neither depends on the eyes' texels.
 
-        The eyes have no say in either.
+        Args:
+            network: as of `infer_whole_face`.
+            texture: (rows, columns, 3) linear.
+            shown: (rows, columns) bool, texels that the texture has.
+            seconds: of the refinement.
+            camera: from where it was photographed.
+            mesostructure: as of `infer_whole_face`.
+            network_sees: (rows, columns) bool, as of `infer_whole_face`.
+            own: as of `infer_whole_face`.
         """
         return infer_whole_face(
             network,

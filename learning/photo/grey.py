@@ -8,9 +8,9 @@ from learning.networks.whole_face import WholeFaceNetwork
 from lightstage.formats.srgb import LUMINANCE
 
 GREY = 0.03
-"""Largest share by which a pixel's channels differ in a photograph without colour, ..."""
+"""Largest share by which a pixel's channels differ in a photograph without colour."""
 COLOURFUL = 0.01
-"""... but for so many of its pixels: a JPEG's blocks are a little off."""
+"""Share of a colourless photograph's pixels that may differ by more: a JPEG is a little off."""
 DARK = 0.02
 """Of the photograph's bright pixels: below it a pixel's colour is noise."""
 

@@ -107,7 +107,16 @@ class LandmarkFit:
 
 @dataclasses.dataclass
 class Unknowns:
-    """The state of the search."""
+    """The state of the search, over f photographs.
+
+    Attributes:
+        identity: (k,) coefficients.
+        log_focal: (f,) natural logarithm of the focal length in px.
+        rotation: f of cam_from_head.
+        image: (f, 2) place of the head's origin, over its distance along the lens's axis.
+        log_depth: (f,) natural logarithm of that distance in mm.
+        expression: (f, m) strengths.
+    """
 
     identity: np.ndarray
     log_focal: np.ndarray
@@ -117,7 +126,7 @@ class Unknowns:
     expression: np.ndarray
 
     def moved(self, step: np.ndarray) -> Unknowns:
-        """After a step in the order of the normal equations."""
+        """After a (u,) step, in the order of the normal equations."""
         kept = len(self.identity)
         each = step[kept:].reshape(len(self.log_focal), -1)
         return Unknowns(
@@ -237,7 +246,7 @@ class Problem:
         return cost, matrix, right
 
     def answer(self, at: Unknowns, covariance: np.ndarray) -> LandmarkFit:
-        """What was found."""
+        """What was found, with the (u, u) covariance of all unknowns."""
         taken = []
         for index in range(len(self.sightings)):
             off, _, weight = self._photo(at, index)
@@ -306,7 +315,14 @@ class Projected:
 
 
 def projected(model: ShapeModel, at: Unknowns, index: int, centre_px: np.ndarray) -> Projected:
-    """Places of a model in one photograph, and how they move with the unknowns."""
+    """Places of a model in one photograph, and how they move with the unknowns.
+
+    Args:
+        model: of p places.
+        at: the state of the search.
+        index: of the photograph.
+        centre_px: (2,) where the lens's axis meets the picture.
+    """
     rotation = at.rotation[index].as_matrix()
     turned = model.vertices(at.identity, at.expression[index]) @ rotation.T
     offset = _offset(at, index)

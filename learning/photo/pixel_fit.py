@@ -103,7 +103,7 @@ class State:
     light: tuple[np.ndarray, ...]
 
     def moved(self, step: np.ndarray, shape: int) -> State:
-        """After a step in the order: `shape` unknowns of shape and cameras, albedo, lights."""
+        """After a (u,) step in the order: `shape` unknowns of shape and cameras, albedo, lights."""
         ends = np.cumsum([shape, len(self.albedo), *(len(x) for x in self.light)])
         own, albedo, *lights = np.split(step, ends[:-1])
         light = tuple(x + part for x, part in zip(self.light, lights, strict=True))

@@ -22,13 +22,13 @@ from learning.whole.unlit import light_edges, lit_enough
 DARK = 0.01
 """Added to both before the logarithm of a ratio is taken."""
 SHARP = 8.0
-"""Power of a photograph's worth in its share of a texel: at twice another one's worth, it has
+"""Power of a photograph's quality in its share of a texel: at twice another one's quality, it has
 99.6 %."""
 FACING = 2.0
-"""Power of the cosine to the camera in a photograph's worth."""
+"""Power of the cosine to the camera in a photograph's quality."""
 RELIT = 0.2
-"""Worth of a photograph whose light was replaced, of the first one's: there it is taken where the
-first one sees a texel at less than half the cosine."""
+"""Quality of a photograph whose light was replaced, as a share of the first one's: it is taken
+where the first one sees a texel at less than half the cosine."""
 GRAZING = 0.35
 """Cosine to its camera below which a later photograph is not taken: the fitted outline is never
 quite the person's, and what is beside it comes in."""
@@ -113,7 +113,7 @@ def join(views: list[View]) -> Joined:
         order.append(index)
         whole = np.where((mask & ~seen)[..., None], log, whole)
         seen = seen | mask
-    shares = _shares([_worth(views[i], m, i) for i, m in zip(order, masks, strict=True)], masks)
+    shares = _shares([_quality(views[i], m, i) for i, m in zip(order, masks, strict=True)], masks)
     total = sum(share[..., None] * log for share, log in zip(shares, logs, strict=True))
     facing = sum(
         share * np.clip(views[i].facing, 0, 1) for share, i in zip(shares, order, strict=True)
@@ -132,9 +132,9 @@ def join(views: list[View]) -> Joined:
 
 
 def under_first(first: View, other: View) -> tuple[np.ndarray, np.ndarray]:
-    """A photograph's logarithm under the first one's light, and where that says something.
+    """A photograph's logarithm under the first one's light, and where that is known.
 
-    It says nothing at grazing angles, where its light is too dark to be divided by, and at edges of
+    It is not known at grazing angles, where its light is too dark to be divided by, and at edges of
     shadows, which are never quite in place: its own, and the first one's where that shows the texel
     itself.
 
@@ -179,24 +179,24 @@ def _smooth(apart: np.ndarray, both: np.ndarray) -> np.ndarray:
     return continued((wide * weight[..., None]).astype(np.float32), both)
 
 
-def _worth(view: View, mask: np.ndarray, index: int) -> np.ndarray:
+def _quality(view: View, mask: np.ndarray, index: int) -> np.ndarray:
     """(rows, columns) how well a photograph shows each texel; less toward the mask's border."""
     reach = max(1.0, BORDER_SHARE * len(mask))
     inside = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
     near = np.minimum(inside / (2 * reach), 1)
     sharp = min(view.pixels, 1.0)
     kept = 1.0 if index == 0 else RELIT
-    worth: np.ndarray = kept * sharp * np.clip(view.facing, 0, 1) ** FACING * near
-    return worth
+    quality: np.ndarray = kept * sharp * np.clip(view.facing, 0, 1) ** FACING * near
+    return quality
 
 
-def _shares(worths: list[np.ndarray], masks: list[np.ndarray]) -> np.ndarray:
+def _shares(qualities: list[np.ndarray], masks: list[np.ndarray]) -> np.ndarray:
     """(n, rows, columns) share of each photograph in each texel; they sum to 1 where any shows."""
     reach = max(1.0, BORDER_SHARE * len(masks[0]))
-    worth = np.stack(worths).astype(np.float32)
+    quality = np.stack(qualities).astype(np.float32)
     mask = np.stack(masks)
-    best = np.maximum(worth.max(axis=0), 1e-12)
-    power = np.where(mask, np.maximum(worth / best, 1e-3) ** SHARP, 0)
+    best = np.maximum(quality.max(axis=0), 1e-12)
+    power = np.where(mask, np.maximum(quality / best, 1e-3) ** SHARP, 0)
     power = power / np.maximum(power.sum(axis=0), 1e-30)
     soft = np.stack([blurred(one, reach) for one in power.astype(np.float32)]) * mask
     # A photograph ends softly where another one is there to take over.

@@ -155,7 +155,7 @@ def mean_around(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 def spread(mask: np.ndarray, share: float) -> np.ndarray:
-    """A mask and what is around it, within so much of its rows."""
+    """(rows, columns) bool, a mask of that shape and what is within this share of its rows."""
     reach = max(1, round(share * len(mask)))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     return np.asarray(cv2.dilate(mask.astype(np.uint8), disc) > 0)

@@ -28,18 +28,23 @@ class PointsConfig:
     """How a mesh is drawn."""
 
     yaws_deg: tuple[float, ...] = (-50.0, -35.0, -20.0, -8.0, 8.0, 20.0, 35.0, 50.0)
+    """Directions of the views to the person's left; each is drawn with each of `pitches_deg`."""
     pitches_deg: tuple[float, ...] = (-25.0, -8.0, 8.0, 25.0)
+    """Directions of the views upward."""
     lamps: tuple[Lamp, ...] = (
         Lamp(10.0, 25.0, 0.5),
         Lamp(-55.0, 20.0, 0.35),
         Lamp(55.0, 20.0, 0.35),
     )
+    """Lamps under each of which every view is drawn."""
     facing: float = 0.25
     """Cosine between normal and line of sight above which a view sees a place."""
     soft_mm: float = 1.5
     """A line of sight this far from a point counts half."""
     rounds: int = 12
+    """Rounds of reweighting in which a point's lines of sight are joined."""
     fewest_views: int = 6
+    """Least number of views that see a point for it to have a place on the mesh."""
     largest_spread_mm: float = 8.0
     """A point whose lines of sight are farther apart (median) has no place on the mesh."""
 

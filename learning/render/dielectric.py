@@ -38,7 +38,7 @@ the integral in the mean, .02 at grazing cosines below .05, by least squares."""
 
 
 def roughness_of(exponent: Tensor) -> Tensor:
-    """Roughness m of an exponent."""
+    """Roughness m of exponents of any shape."""
     return (2 / (exponent + 2)).sqrt()
 
 
@@ -55,7 +55,15 @@ def mirrored(roughness: Tensor) -> list[Tensor]:
 
 
 def let_through(coefficients: list[Tensor], cosine: Tensor) -> Tensor:
-    """T of a cosine, 0..1."""
+    """T of cosines.
+
+    Args:
+        coefficients: of `mirrored`, each (B, 1, n).
+        cosine: (B, L, n) or (B, 1, n), clamped to 0..1.
+
+    Returns:
+        Of the shape of `cosine`, 0..1.
+    """
     u = 2 * cosine.clamp(0.0, 1.0) - 1
     total = coefficients[-1]
     for value in coefficients[-2::-1]:
@@ -64,7 +72,14 @@ def let_through(coefficients: list[Tensor], cosine: Tensor) -> Tensor:
 
 
 def mean_through(coefficients: list[Tensor]) -> Tensor:
-    """The mean of T over the hemisphere, weighted by the cosine."""
+    """The mean of T over the hemisphere, weighted by the cosine.
+
+    Args:
+        coefficients: of `mirrored`, each (B, 1, n).
+
+    Returns:
+        (B, 1, n).
+    """
     total = torch.ones_like(coefficients[0])
     for i, value in enumerate(coefficients):
         # The integral of 2 c u^i over 0..1 is that of (u + 1) u^i / 2 over -1..1.
@@ -73,7 +88,7 @@ def mean_through(coefficients: list[Tensor]) -> Tensor:
 
 
 def fresnel(cosine: Tensor) -> Tensor:
-    """Exact unpolarised reflectance of n = 1.4 [CookTorrance1982]."""
+    """Exact unpolarised reflectance of n = 1.4, of cosines of any shape [CookTorrance1982]."""
     g = (INDEX**2 - 1 + cosine.square()).sqrt()
     minus, plus = g - cosine, g + cosine
     second = (cosine * plus - 1) / (cosine * minus + 1)
@@ -81,7 +96,15 @@ def fresnel(cosine: Tensor) -> Tensor:
 
 
 def smith(cosine: Tensor, exponent: Tensor) -> Tensor:
-    """Smith's Lambda of Beckmann's distribution, rational fit, of a cosine above 0 [Walter2007]."""
+    """Smith's Lambda of Beckmann's distribution, by a rational fit [Walter2007].
+
+    Args:
+        cosine: (B, L, n) or (B, 1, n), above 0.
+        exponent: (B, 1, n), s.
+
+    Returns:
+        Of the shape of `cosine`.
+    """
     sine = (1 - cosine.square()).clamp_min(1e-12).sqrt()
     a = cosine / sine * ((exponent + 2) / 2).sqrt()
     near = a.clamp_max(1.6)
@@ -95,11 +118,14 @@ def mirror_lobe(
     """Pi D F G / (4 n.v F0), on the scale where a white diffuser shows n . l.
 
     Args:
-        half: n . h, 0..1.
-        incidence: n . l, clamped at 0.
-        toward_view: n . v.
-        view_half: l . h, 0..1.
-        exponent: s.
+        half: (B, L, n) of L lights at n texels: n . h, 0..1.
+        incidence: (B, L, n): n . l, clamped at 0.
+        toward_view: (B, 1, n): n . v.
+        view_half: (B, L, n): l . h, 0..1.
+        exponent: (B, 1, n): s.
+
+    Returns:
+        (B, L, n).
     """
     steepness = (exponent + 2) / 2
     seen = toward_view.clamp(LEAST_COSINE, 1.0)

@@ -49,6 +49,13 @@ def unit(vectors: Tensor, floor: float = SHORTEST) -> Tensor:
     """Vectors along dimension 1 at length 1; those shorter than `floor` fade to zero.
 
     The gradient is finite everywhere, at zero too.
+
+    Args:
+        vectors: (B, 3, ..).
+        floor: length below which they fade.
+
+    Returns:
+        (B, 3, ..).
     """
     square = (vectors * vectors).sum(dim=1, keepdim=True)
     return vectors * square.clamp_min(floor * floor).rsqrt()
@@ -134,6 +141,15 @@ def ggx(half: Tensor, incidence: Tensor, toward_view: Tensor, exponent: Tensor) 
 
     The roughness is the exponent's: alpha^2 = 2 / (s + 2). On the scale where a white diffuser
     shows n . l; finite at grazing angles.
+
+    Args:
+        half: (B, L, n) of L lights at n texels: n . h, 0..1.
+        incidence: (B, L, n): n . l, clamped at 0.
+        toward_view: (B, 1, n): n . v, clamped at 0.
+        exponent: (B, 1, n): s.
+
+    Returns:
+        (B, L, n).
     """
     squared = 2 / (exponent + 2)
     spread = half.square() * (squared - 1) + 1

@@ -153,7 +153,7 @@ def backward(
     lights: Lights,
     paper: bool,
     lobes: np.ndarray,
-    gradient: Shaded,
+    upstream: Shaded,
     needed: Needed,
     of: Gradients,
 ) -> None:
@@ -164,7 +164,7 @@ def backward(
         lights: as forward.
         paper: as forward.
         lobes: (B, 3, n), what forward filled.
-        worth: gradients with respect to what forward filled.
+        upstream: gradients of the loss with respect to the sums that `forward` filled.
         needed: what is computed.
         of: is filled.
     """
@@ -182,7 +182,7 @@ def backward(
             count, first = next_block(buf, texel, entry, first, last, skins, lights)
             if count == 0:
                 break
-            gloss = start_gradients(buf, texel, count, entry, paper, lobes, gradient)
+            gloss = start_gradients(buf, texel, count, entry, paper, lobes, upstream)
             for j in range(lights.packed.shape[1]):
                 light = lights.packed[entry, j]
                 if black(light) and not needed.colours:
@@ -209,9 +209,9 @@ def backward(
                 for t in range(count):
                     n = texel[t]
                     from_camera += buf[(GV + k) * TEXELS + t]
-                    everywhere += gradient.irradiance[entry, k, n] * skins.occlusion[entry, 0, n]
+                    everywhere += upstream.irradiance[entry, k, n] * skins.occlusion[entry, 0, n]
                     if of_occlusion.shape[2]:
-                        here = gradient.irradiance[entry, k, n] * lights.ambient[entry, k]
+                        here = upstream.irradiance[entry, k, n] * lights.ambient[entry, k]
                         of_occlusion[entry, 0, n] += here
                 camera_sums[entry, number, k] += from_camera
                 ambient_sums[entry, number, k] += everywhere

@@ -1,4 +1,8 @@
-"""The compiled sums of a rough dielectric (see `dielectric`), where no gradient is needed."""
+"""The compiled sums of a rough dielectric (see `dielectric`), where no gradient is needed.
+
+A function's `buf` is one block, (FACET_ROWS * TEXELS,); its `light` is (9,), as of
+`kernel_forward`.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +70,7 @@ def smith(cosine: float, steepness: float) -> float:
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
 def prepare_facets(buf: np.ndarray) -> None:
-    """Write what a block's lights share; `buf` and `light` are as of `kernel_forward`."""
+    """Write what a block's lights share."""
     kind = buf.dtype.type
     zero, one, two = kind(0.0), kind(1.0), kind(2.0)
     for t in range(TEXELS):

@@ -1,7 +1,7 @@
 """The compiled shading: what a block of texels receives of each light, and a batch of blocks.
 
-A function's `buf` is one block, flat: rows of `TEXELS` numbers at the places of `texel_blocks`. Its
-`light` is one light, (9,), of `pack_lights`.
+A function's `buf` is one block, (ROWS * TEXELS,): rows of `TEXELS` numbers at the places of
+`texel_blocks`. Its `light` is (9,), one light of `pack_lights`.
 """
 
 from __future__ import annotations
@@ -120,6 +120,12 @@ def pack_lights(
     """(B, L, 9) rows of (B, L) lights: position, near, |P|^2, least squared distance, rgb.
 
     A distant light is at distance 1, whatever length its direction was given with.
+
+    Args:
+        position: (B, L, 3) mm, or directions of distant lights.
+        rgb: (B, L, 3).
+        distant: (B, L) bool.
+        nearest: mm, the least distance of a light from a texel.
     """
     square = np.square(position).sum(axis=-1)
     out = np.zeros((*rgb.shape[:2], LIGHT_COLUMNS), position.dtype)
@@ -134,7 +140,7 @@ def pack_lights(
 
 @numba.njit
 def black(light: np.ndarray) -> bool:
-    """Whether a packed light gives no light."""
+    """Whether a packed light, (9,), gives no light."""
     return light[6] == 0.0 and light[7] == 0.0 and light[8] == 0.0
 
 

@@ -5,8 +5,9 @@ view, r the reach |P|^2 i^2 and h the cosine at the half vector, a light gives
 D = max(a, 0) r seen and S = h^s max(b, 0) r seen. Each function below is one step of the chain rule
 from the gradients of D and S (u and w) back to the block's fields.
 
-A function's `buf` is one block, flat: `GRADIENT_ROWS` rows of `TEXELS` numbers. Its `light` is one
-light, (9,), of `kernel_forward.pack_lights`; its `out` is that light's (7,) gradients.
+A function's `buf` is one block, (GRADIENT_ROWS * TEXELS,): rows of `TEXELS` numbers. Its `light` is
+(9,), one light of `kernel_forward.pack_lights`. Its `out` is (7,), to which that light's gradients
+are added: place (3), |P|^2, red, green and blue.
 """
 
 from __future__ import annotations

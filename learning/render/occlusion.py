@@ -117,7 +117,15 @@ def openness(normal: np.ndarray, dome: np.ndarray) -> np.ndarray:
 
 
 def sharpened(seen: Tensor, sharpness: float = SHARPER) -> Tensor:
-    """Shares of light, 0..1, of an enlarged grid, with edges as hard as small lamps make them."""
+    """Shares of light, 0..1, of an enlarged grid, with edges as hard as small lamps make them.
+
+    Args:
+        seen: shares of any shape, 0..1.
+        sharpness: factor of the slope of an edge.
+
+    Returns:
+        Of the same shape, 0..1.
+    """
     return ((seen - 0.5) * sharpness + 0.5).clamp(0, 1)
 
 

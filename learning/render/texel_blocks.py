@@ -175,7 +175,7 @@ def next_block(
     skins: Skins,
     lights: Lights,
 ) -> tuple[int, int]:
-    """List and gather the next block's texels; as `next_texels`."""
+    """List and gather the next block's texels; as `next_texels`, with `buf` of `toward_light`."""
     count, first = next_texels(skins.valid[entry], first, last, texel)
     if count:
         gather(buf, texel, count, entry, skins, lights.camera[entry])
@@ -189,8 +189,8 @@ def toward_light(
     """Cosines and distance of a block's texels to one light; its visibility.
 
     Args:
-        buf: the block.
-        texel: which texels it holds.
+        buf: (rows * TEXELS,), the block.
+        texel: (TEXELS,) int64, which texels it holds.
         entry: of the batch.
         index: of the light.
         lights: all.

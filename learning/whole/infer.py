@@ -103,9 +103,9 @@ def infer_whole_face(
             size in mm, or in another layout than those trained on.
     """
     rows, columns = texture.shape[:2]
-    looked = look(network, texture, mesh, head_from_mesh, named, device, network_sees)
-    answer, head_from_mesh, notes = looked.answer, looked.head_from_mesh, list(looked.notes)
-    raster, photographed = looked.raster, looked.photographed
+    output = run_network(network, texture, mesh, head_from_mesh, named, device, network_sees)
+    answer, head_from_mesh, notes = output.answer, output.head_from_mesh, list(output.notes)
+    raster, photographed = output.raster, output.photographed
     covered = raster.covered
     normal = raster.normals(mesh).astype(np.float32)
     log_albedo, low_specular = answer.log_albedo, answer.specular
@@ -137,7 +137,7 @@ def infer_whole_face(
         diffuse = refined.diffuse_albedo
     specular = np.exp(enlarged(np.log(low_specular), rows, columns))
     left_open = doubt_of(network) if refined is None else refined.deviation_log
-    error = expected_error(left_open, looked.deviation, (rows, columns))
+    error = expected_error(left_open, output.deviation, (rows, columns))
     if refined is not None:
         error = expected_of_refined(error, diffuse, log_albedo, refined.known)
     normals = (normal, normal)
@@ -154,11 +154,11 @@ def infer_whole_face(
 
 
 @dataclasses.dataclass(frozen=True)
-class Looked:
-    """A texture as a network saw it, and what it said.
+class NetworkAnswer:
+    """A network's input texture and its output.
 
     Attributes:
-        answer: at the network's size.
+        answer: both at the network's size.
         deviation: (h, w) error that it expects of the encoded albedo.
         raster: the texture's.
         photographed: (rows, columns) bool, texels of the surface that are not black.
@@ -174,7 +174,7 @@ class Looked:
     notes: tuple[str, ...]
 
 
-def look(
+def run_network(
     network: WholeFaceNetwork,
     texture: np.ndarray,
     mesh: Mesh,
@@ -182,8 +182,8 @@ def look(
     named: tuple[str | Path, str | Path],
     device: torch.device = CPU,
     network_sees: np.ndarray | None = None,
-) -> Looked:
-    """Ask a network of a texture; arguments and errors as `infer_whole_face`."""
+) -> NetworkAnswer:
+    """Run a network on a texture; arguments and errors as of `infer_whole_face`."""
     rows, columns = texture.shape[:2]
     size = network.config
     if rows < size.rows or columns < size.columns:
@@ -223,7 +223,7 @@ def look(
         np.exp(_image(output.specular_albedo.log())[..., 0]),
         _trust(deviation),
     )
-    return Looked(answer, deviation, raster, photographed, head_from_mesh, tuple(notes))
+    return NetworkAnswer(answer, deviation, raster, photographed, head_from_mesh, tuple(notes))
 
 
 def in_mesh_axes(light: LightSet, head_from_mesh: np.ndarray) -> LightSet:

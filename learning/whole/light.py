@@ -101,7 +101,7 @@ class LitSurface:
         Args:
             lamps_mm: (L, 3).
             shininess: Blinn-Phong's exponent of the lobe.
-            seen: (n, L) of the method `seen`, where it is known already.
+            seen: (L, n) of the method `seen`, where it is known already.
         """
         if not len(lamps_mm):
             nothing = np.zeros((len(self._normal), 0))

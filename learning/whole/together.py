@@ -23,8 +23,9 @@ SETTLED = 1e-3
 """A step that moves no unknown by as much is the last."""
 LEAST_DAMPING = 1e-6
 TOGETHER = 150.0
-"""So many texels err as one: what is not modelled is smooth. At 40 people who were not trained on
-come out lighter than they are where their normals are off; 150 costs our own people little."""
+"""Number of neighbouring texels whose errors are treated as one, since unmodelled effects are
+smooth. With 40 instead, people outside the training set come out too light where their normals are
+off; with 150 the people of the training set hardly lose."""
 TINT = 0.3
 """Standard deviation of the logarithm of a lamp's red, green and blue beside its mean."""
 STRENGTH = 3.0
@@ -152,7 +153,7 @@ class _Problem:
         return np.concatenate([self._begin.along, self._strength.ravel(), [gloss]])
 
     def answer(self, values: np.ndarray, covariance: np.ndarray, cost: float) -> Explained:
-        """What values of the unknowns mean."""
+        """The skin and lamps of (u,) values of the unknowns, with their (u, u) covariance."""
         along, strength, gloss = self._parts(values)
         faint = self._begin.rgb <= 0
         count = len(along)

@@ -55,7 +55,7 @@ def calibrate_command(
     ),
     ignore_clock: IgnoreClock = False,
     every_light: bool = typer.Option(
-        False, "--every-light", help="Of a mirror ball: light after light, not gradients."
+        False, "--every-light", help="Of a mirror ball: lamp after lamp, not gradients."
     ),
     config: Path | None = ConfigOption,
     as_json: bool = JsonFlag,
@@ -69,9 +69,11 @@ def calibrate_command(
     worst_s = settings.worst_shot_s(worst_answer_s(leds))
     check_shots(planned, the_rig, settings.safety, worst_s)
     file = CamerasFile() if cameras == "auto" else read_cameras_file(Path(cameras))
-    assistant: Assistant = TerminalAssistant(_say, _ask)
+    assistant: Assistant = TerminalAssistant(_print_line, _ask)
     if unattended is not None:
-        assistant = UnattendedAssistant(_say, unattended, settings.calibration.retakes_per_pose)
+        assistant = UnattendedAssistant(
+            _print_line, unattended, settings.calibration.retakes_per_pose
+        )
     with open_stage(the_rig, leds, file, settings) as stage:
         hello, own = stage.lights.hello, settings.calibration
         if resume:
@@ -153,10 +155,10 @@ def _require_meaning(kind: str, resume: bool, poses: int | None, every_light: bo
 
 def _poses_done(done: int, count: int) -> None:
     if done:
-        _say(f"  {done} of {counted(count, 'pose')} done.")
+        _print_line(f"  {done} of {counted(count, 'pose')} done.")
 
 
-def _say(text: str) -> None:
+def _print_line(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 

@@ -22,7 +22,7 @@ class Kind:
         put: what the operator puts before the cameras, in plain words; `{camera}` is the one that
             a pose faces, `{where}` before or behind, in turn, as that camera sees it.
         patterns: lit for each pose, names of lightstage.patterns.
-        drive: how lights are weighted; `on-off` where each light's own strength is looked for.
+        drive: how lights are weighted; `on-off` where each lamp's own strength is searched for.
         faces: each pose is made for one camera, in turn; else for all at once.
         settings: fields of a camera's Summary that must be the same for the shots to hold.
         lit: whether they show the LEDs' light, and so end with another LED firmware.

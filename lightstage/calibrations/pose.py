@@ -1,4 +1,4 @@
-"""One pose's photographs, checked: what every camera shows, and whether the pose will do."""
+"""One pose's photographs, checked: what every camera shows, and whether the pose is usable."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ class PoseLook:
 
     Attributes:
         figures: camera id to its figures, JSON-ready.
-        findings: what is amiss; with severity `retake` the pose does not do.
+        findings: what is amiss; one of severity `retake` makes the pose unusable.
     """
 
     figures: dict[str, dict[str, Any]]
     findings: list[Finding]
 
     @property
-    def does(self) -> bool:
-        """Whether nothing asks for the pose to be taken again."""
+    def is_usable(self) -> bool:
+        """Whether no finding asks for a retake."""
         return not any(finding.severity == "retake" for finding in self.findings)
 
 
 def look_at_pose(root: Path, kind: Kind, index: int, config: CalibrationConfig) -> PoseLook:
-    """Look at the first pattern's photographs of a pose (all that are `full` or `dark`).
+    """Check the first pattern's photographs of a pose (all that are `full` or `dark`).
 
     Args:
         root: the pose's session folder, finished.

@@ -149,13 +149,13 @@ def take_poses(
         shots: begun, or resumed.
         rig: the stage.
         take: the capture.
-        assistant: asked before each pose, and about poses that do not do.
+        assistant: asked before each pose, and about poses that are not usable.
         config: limits.
         progress: of poses.
 
     Raises:
-        CaptureError: stopped before the end, or a pose did not do `takes_per_pose` times; what was
-            taken is kept, and can be resumed.
+        CaptureError: stopped before the end, or a pose was not usable in `takes_per_pose` takes;
+            what was taken is kept, and can be resumed.
         LightstageError: from the capture of a pose.
     """
     again = now = 0
@@ -172,7 +172,7 @@ def take_poses(
             folder = _folder(shots, index)
             take(shots.root / folder, shots.file.patterns, kind.drive)
             look = look_at_pose(shots.root / folder, kind, index, config)
-            if look.does:
+            if look.is_usable:
                 break
             failed.append(look.findings)
             left = config.takes_per_pose - len(failed)
@@ -234,7 +234,7 @@ def _stopped(shots: Shots, index: int, failed: Sequence[Sequence[Finding]]) -> C
     takes = counted(len(failed), "take")
     return CaptureError(
         shots.root,
-        found=f"{found}: pose {index + 1} did not do in {takes}: {reasons}",
+        found=f"{found}: pose {index + 1} was not usable in {takes}: {reasons}",
         expected=wanted,
         hint=hints,
     )

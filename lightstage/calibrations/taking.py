@@ -24,21 +24,21 @@ class NoFaceChecks:
     """The checks that capture calls; a target is no face, and is checked when its pose is whole."""
 
     def photograph(self, pattern: str, camera_id: str, path: Path) -> list[Finding]:
-        """Nothing is amiss with one photograph."""
+        """Returns no findings: targets are not checked photograph by photograph."""
         del pattern, camera_id, path
         return []
 
     def shot(self, pattern: str) -> list[Finding]:
-        """Nor with a pattern's."""
+        """Returns no findings: targets are not checked shot by shot."""
         del pattern
         return []
 
     def forget(self, pattern: str, camera_id: str) -> None:
-        """A photograph that is taken again."""
+        """Does nothing: no figures of a photograph that is retaken are kept here."""
         del pattern, camera_id
 
     def facts(self) -> dict[str, Any]:
-        """No figures."""
+        """Returns no figures."""
         return {}
 
 

@@ -164,7 +164,7 @@ def _find_moved(
     cameras: Sequence[CameraDevice],
     results: dict[str, Summary | LightstageError],
 ) -> list[Moved]:
-    """Look at the other ports for cameras that are not at their own; `results` is set right.
+    """Search the other ports for cameras that are not at their own; `results` is set right.
 
     One in whose place another camera of the rig is, is not searched for: `summary_problems` names
     it, since the bodies themselves may have been exchanged on the stage. One that is nowhere

@@ -90,20 +90,22 @@ class GphotoCamera:
     def summary(self) -> Summary:
         """The camera's summary, read anew."""
         link = self._link
-        found = link.again("summary", lambda: widgets.read_summary(link, self._serial()))
+        found = link.call_with_retries(
+            "summary", lambda: widgets.read_summary(link, self._serial())
+        )
         self._wanted = known.files_of_a_shot(found.image_format)
         return found
 
     def change(self, name: str, value: str) -> None:
         """Set a field of Summary and read it back; the clock by the offset that it is to have."""
         link = self._link
-        link.again(f"change {name}", lambda: widgets.change(link, name, value))
+        link.call_with_retries(f"change {name}", lambda: widgets.change(link, name, value))
         if name == "image_format":
             self._wanted = known.files_of_a_shot(value)
 
     def card(self) -> tuple[CardFile, ...]:
         """Every photograph in all folders of all its cards, oldest first."""
-        found = self._link.again("card", lambda: sorted(self._walk("/")))
+        found = self._link.call_with_retries("card", lambda: sorted(self._walk("/")))
         self._events.know(name for _, name, _ in found)
         return tuple(CardFile(name, size) for _, name, size in found)
 
@@ -130,7 +132,7 @@ class GphotoCamera:
             return joined(link.camera.capture(library.GP_CAPTURE_IMAGE))
 
         time.sleep(max(0.0, at_s - time.monotonic()))
-        first = link.again("trigger", expose, repeatable=False)
+        first = link.call_with_retries("trigger", expose, repeatable=False)
         names, exposed_s = self._events.files_of_shot(link, first, self._wanted)
         files = tuple(CardFile(name, self._size(name)) for name in names)
         return Exposure(files, triggered_s, exposed_s)
@@ -140,7 +142,7 @@ class GphotoCamera:
         link, kind = self._link, self._link.library.GP_FILE_TYPE_NORMAL
         size = self._size(name)
         # `file` must outlive its memory: it is held until the last byte is written.
-        file = link.again("download", lambda: link.camera.file_get(*_split(name), kind))
+        file = link.call_with_retries("download", lambda: link.camera.file_get(*_split(name), kind))
         data = memoryview(file.get_data_and_size()).cast("B")
         if len(data) != size or not size:
             raise DeviceError(
@@ -157,7 +159,7 @@ class GphotoCamera:
 
     def delete(self, name: str) -> None:
         """Remove a file from the card; python-gphoto2 keeps Python's lock meanwhile."""
-        self._link.again("delete", lambda: self._link.camera.file_delete(*_split(name)))
+        self._link.call_with_retries("delete", lambda: self._link.camera.file_delete(*_split(name)))
 
     def close(self) -> None:
         """Let go of the camera."""
@@ -171,7 +173,7 @@ class GphotoCamera:
 
     def _size(self, name: str) -> int:
         link = self._link
-        info = link.again("file size", lambda: link.camera.file_get_info(*_split(name)))
+        info = link.call_with_retries("file size", lambda: link.camera.file_get_info(*_split(name)))
         return int(info.file.size)
 
     def _walk(self, folder: str) -> Iterator[tuple[int, str, int]]:

@@ -1,4 +1,4 @@
-"""A connection through libgphoto2 that bears what passes by itself; the library is an argument."""
+"""A libgphoto2 connection that retries on temporary errors; the library is an argument."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ HINTS = {
 
 @dataclasses.dataclass(frozen=True)
 class Patience:
-    """How long the driver bears what passes by itself; the process's deadline is longer.
+    """How long the driver retries on temporary errors; the process's deadline is longer.
 
     Attributes:
         claimed_tries: openings while another program has the camera.
@@ -54,7 +54,7 @@ class Link:
     Args:
         library: the module gphoto2.
         port: such as ``usb:001,004``.
-        patience: with what passes by itself.
+        patience: how long temporary errors are retried.
         drain: empties the queue of events; a busy camera is one that has events to report.
         serial: the camera's report of its serial number, read after each connection.
     """
@@ -84,7 +84,7 @@ class Link:
         return self._camera
 
     def connect(self) -> None:
-        """Find the port and connect; again while another program has the camera.
+        """Find the port and connect; retry while another program has the camera.
 
         Raises:
             DeviceError: no camera is there, it does not answer, or stays another program's.
@@ -102,8 +102,8 @@ class Link:
                 self.close()
                 time.sleep(self.patience.claimed_pause_s)
 
-    def again(self, doing: str, call: Callable[[], T], repeatable: bool = True) -> T:
-        """Call the library; again while the camera is busy, once more after an I/O problem.
+    def call_with_retries(self, doing: str, call: Callable[[], T], repeatable: bool = True) -> T:
+        """Call the library; retry while the camera is busy, and once after an I/O problem.
 
         Args:
             doing: the error's field.

@@ -159,7 +159,7 @@ def _silent(error: LightstageError, where: str) -> Finding:
         where or error.where if several else error.where,
         plain(str(error) if several else error.found),
         error.expected or "all of them",
-        error.hint or "Look at its cable, power and battery.",
+        error.hint or "Inspect its cable, power and battery.",
     )
 
 

@@ -42,7 +42,7 @@ def devices_command(
     config: Path | None = typer.Option(None, help="TOML with other values than the defaults."),
     as_json: bool = JsonFlag,
 ) -> None:
-    """Look at lights and cameras as a capture does before its first light; nothing is lit."""
+    """Check lights and cameras as a capture does before its first light; nothing is lit."""
     if not folder.is_dir():
         found = "a file" if folder.exists() else "no such folder"
         raise ConfigError(folder, field="--folder", found=found, expected="a folder of sessions")
@@ -59,7 +59,7 @@ def devices_command(
     ready = "ready" if look.ready else f"not ready: {counted(wrong, 'thing')} to mend"
     lights = "no answer from the lights"
     if look.lights is not None:
-        lights = f"{counted(look.lights.light_count, 'light')} answer"
+        lights = f"{counted(look.lights.light_count, 'lamp')} answer"
     finish(
         f"{lights}, {answering} of {counted(len(look.cameras), 'camera')} answer, {ready}",
         look.facts(),

@@ -65,7 +65,7 @@ class CaptureReport:
 
 
 class Run:
-    """Takes what a session still wants.
+    """Takes the photographs that a session still lacks.
 
     Args:
         shots: in order, checked by safety.check_shots.
@@ -171,7 +171,11 @@ class Run:
         )
 
     def _take(self, shot: Shot, cameras: Sequence[CameraDevice]) -> None:
-        """One try at a pattern; what does not do is queued again, if the operator decides so."""
+        """Take a pattern once.
+
+        Photographs with faults are queued for a retake if the operator decides so. Photographs
+        that only came late are retaken without a question while retakes are left.
+        """
         pattern = shot.pattern
         result = self._try(shot, cameras) if cameras else ShotTaken((), (), 0.0)
         kept = {each.camera for each in result.taken}
@@ -180,7 +184,7 @@ class Run:
         self._count(warnings=sum(each.severity == "warn" for each in findings))
         bad = [each for each in findings if each.severity in ("retake", "refuse")]
         self._require_own_rig(bad)
-        again = self._suspects.again(pattern, bad)
+        again = self._suspects.retakes_for(pattern, bad)
         missing = {camera.id for camera in cameras} - kept
         if missing:
             again[pattern] = again.get(pattern, set()) | missing

@@ -199,7 +199,7 @@ def _split_lights(rig: Rig, shots: Sequence[Shot]) -> list[Finding]:
             "note",
             "on-plane",
             f"patterns {axis}+ and {axis}-",
-            f"{counted(len(ids), 'light')} on the splitting plane (ids "
+            f"{counted(len(ids), 'lamp')} on the splitting plane (ids "
             f"{', '.join(map(str, ids[:8]))}{', ..' if len(ids) > 8 else ''})",
             "none, or half in each",
             "They are lit half in both.",
@@ -365,7 +365,7 @@ def _take_until_whole(
     writer: SessionWriter,
     before: Sequence[Finding],
 ) -> CaptureReport:
-    """Take all; then look for it on the disk, and take again what is lost.
+    """Take all; then search for it on the disk, and retake what is lost.
 
     Raises:
         CaptureError: photographs are lost again and again.

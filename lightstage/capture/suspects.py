@@ -34,8 +34,8 @@ class Suspects:
         self._tries: dict[Contradiction, int] = {}
         self._taken: dict[Contradiction, set[str]] = {}
 
-    def again(self, pattern: str, bad: Sequence[Finding]) -> dict[str, set[str]]:
-        """Cameras that should take each pattern again; it may be an earlier one.
+    def retakes_for(self, pattern: str, bad: Sequence[Finding]) -> dict[str, set[str]]:
+        """Cameras that should retake each pattern, by pattern; it may be an earlier one.
 
         Args:
             pattern: of findings that name none.
@@ -54,7 +54,7 @@ class Suspects:
         return self._retakes - max((self._tries.get(key, 0) for key in keys), default=0)
 
     def count(self, pattern: str, bad: Sequence[Finding]) -> None:
-        """The photographs that `again` names are taken again now."""
+        """Count the photographs that `retakes_for` names: they are retaken now."""
         found = {_key(pattern, each): names for each, names in self._chosen(pattern, bad)}
         for key, names in found.items():
             self._tries[key] = self._tries.get(key, 0) + 1

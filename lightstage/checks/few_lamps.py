@@ -28,7 +28,7 @@ NEAR_DEG = 40.0
 """Patterns within this angle are neighbours."""
 NEIGHBOURS = 4
 KNOWN = 8
-"""Patterns from which on they are held against each other."""
+"""Least number of patterns before a pattern is compared with the others of the session."""
 STEP = 1.6
 """Factor of light from neighbour to neighbour that a head can make."""
 UNLIT = 0.25
@@ -46,7 +46,7 @@ ONE_WAY = 0.95
 LIT, ROUNDS = 0.3, 4
 """Surfaces that face a lamp by more than this cosine show its direction; rounds that find them."""
 TIE = 2.0
-"""How strongly a head's directions are held to be a ball's, in patterns."""
+"""Weight of the ball model in the fit of a head's directions, as a number of patterns."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -263,7 +263,7 @@ class FewLamps:
         if lamps[best] > 0.5 * off:
             return []
         light = self._rig.lights[best]
-        where = f"light from {off:.0f} degrees beside its lamp, as of light {light.id}"
+        where = f"light from {off:.0f} degrees beside its lamp, as of lamp {light.id}"
         return [
             _refusal("wrong-light", pattern, f"{where} ({light.name}) or one near it", ELSEWHERE)
         ]

@@ -69,7 +69,7 @@ def room_findings(left: Left, model: BallModel, rig: Rig, config: ChecksConfig) 
             f"all cameras, pattern {left.pattern}",
             measured,
             f"at most {100 * config.warn_ambient_share:g} %",
-            "Darken the room, or look for a lamp that does not go out."
+            "Darken the room, or search for a lamp that does not go out."
             if leak
             else "The light of the three patterns was not the same: check the lamps' supply.",
             left.pattern,
@@ -116,7 +116,7 @@ def _lamp(left: Left, stray: Stray, rig: Rig) -> Finding:
     assert stray.lamp is not None
     light = rig.lights[stray.lamp]
     near = f", or one of {len(stray.near)} near it" if stray.near else ""
-    name = f"light {light.id} ({light.name}{near})"
+    name = f"lamp {light.id} ({light.name}{near})"
     on = stray.share > 0
     return Finding(
         "warn",
@@ -124,8 +124,8 @@ def _lamp(left: Left, stray: Stray, rig: Rig) -> Finding:
         f"all cameras, pattern {left.pattern}",
         f"{two_digits(100 * abs(stray.share))} % of full {'too much' if on else 'missing'}, "
         f"as if {name} " + (f"were on at {stray.level:.1f}" if on else "had failed"),
-        "the commanded lights alone",
-        "Look at that part of the stage; taking the pattern again does not mend a lamp.",
+        "the commanded lamps alone",
+        "Inspect that part of the stage; retaking the pattern does not mend a lamp.",
         left.pattern,
         None,
     )

@@ -22,7 +22,7 @@ MANIFEST = "manifest.json"
 
 
 class Pose(BaseModel):
-    """One pose that was taken and will do."""
+    """One pose that was taken and is usable."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 

@@ -72,7 +72,8 @@ def atomic_path(path: Path, size: int | None = None) -> Iterator[Path]:
 def leftovers(folder: Path, name: str) -> list[Path]:
     """What writers that were killed left beside the files or folders of a name.
 
-    Only for who is the folder's one writer: another's file in the making looks the same.
+    Call this only as the folder's single writer: files that another writer has not finished look
+    the same.
 
     Args:
         folder: where they were to be.

@@ -109,9 +109,9 @@ def read_measured_lights(path: Path, rig: Rig) -> MeasuredLights:
     for light in rig.lights:
         entry = by_id.get(light.id)
         if entry is None:
-            fault("lights", f"no light {light.id}", "every light of the rig, measured with it")
+            fault("lights", f"no lamp {light.id}", "every lamp of the rig, measured with it")
             continue
-        field = f"light {light.id}"
+        field = f"lamp {light.id}"
         place = _numbers(entry.get("position_mm"), (3,))
         gain = _numbers(entry.get("rgb_gain"), (3,))
         if not (np.isfinite(place).all() and np.linalg.norm(place) >= NEAREST_MM):
@@ -130,7 +130,7 @@ def read_measured_lights(path: Path, rig: Rig) -> MeasuredLights:
         if not np.isfinite(stray[name]).all():
             fault(f"stray.{name}", "something else", "3 x 3 x 4 finite numbers")
     if not problems and not any(row[3] + row[4] + row[5] > 0 for row in rows):
-        fault("lights", "no light that shines", "gains above 0")
+        fault("lights", "no lamp that shines", "gains above 0")
     if problems:
         raise one_error(problems)
     table = np.array(rows, float)

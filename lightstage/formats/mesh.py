@@ -179,7 +179,7 @@ def _read_plain(lines: list[str]) -> Mesh | None:
 
 
 def numbers_of(lines: list[str], pattern: str, count: int, kind: type) -> np.ndarray | None:
-    """Numbers of lines that are all as a pattern says, read at once.
+    """Numbers of lines that all match a pattern, read at once.
 
     Args:
         lines: each with its end.
@@ -188,7 +188,7 @@ def numbers_of(lines: list[str], pattern: str, count: int, kind: type) -> np.nda
         kind: float or an integer type.
 
     Returns:
-        (n, count); None where a line is not as the pattern says.
+        (n, count); None where a line does not match the pattern.
     """
     if not lines:
         return np.zeros((0, count), kind)

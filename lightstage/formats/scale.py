@@ -91,7 +91,7 @@ def chart_levels(colour: Mapping[str, Any], count: int, path: Path) -> np.ndarra
             found=counted(levels.size, "value")
             if levels.size != count
             else "values not all in 0..1",
-            expected=f"{counted(count, 'level')} of 0..1, one a light, not all dark",
+            expected=f"{counted(count, 'level')} of 0..1, one a lamp, not all dark",
             hint="It is what the chart was lit by; make the calibration again with this rig.",
         )
     return levels

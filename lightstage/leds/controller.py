@@ -78,8 +78,8 @@ class LedController(Protocol):
     def recover(self) -> Hello:
         """After LightLostError: open what was closed, greet the device again, all lights off.
 
-        What was lit is not lit again: the shot is, by whoever takes it again. DeviceError when
-        nobody answers, or somebody else does.
+        The previous light is not restored; the caller retakes the shot. DeviceError when nobody
+        answers, or another device does.
         """
 
     def close(self) -> None:

@@ -95,7 +95,7 @@ class Guardian:
             "patience_s": PATIENCE_S,
         }
         assert self._child.stdout is not None
-        ready = self._say(json.dumps(settings).encode() + b"\n") and self._child.stdout.read(1)
+        ready = self._send(json.dumps(settings).encode() + b"\n") and self._child.stdout.read(1)
         if ready != b"r":
             self._child.kill()
             self._child.wait()
@@ -118,18 +118,18 @@ class Guardian:
 
     def beat(self) -> None:
         """Report that this process lives."""
-        self._say(b".")
+        self._send(b".")
 
     def goodbye(self) -> None:
         """The lights are dark: it ends, and gives the device back."""
-        self._say(b"!")
+        self._send(b"!")
         self._end(GOODBYE_S)
 
     def leave(self) -> None:
-        """Let it do its work, as if this process had been killed."""
+        """Close the pipe without a goodbye, so that the guardian turns the lights off."""
         self._end(PATIENCE_S + GOODBYE_S)
 
-    def _say(self, data: bytes) -> bool:
+    def _send(self, data: bytes) -> bool:
         try:
             assert self._child.stdin is not None
             self._child.stdin.write(data)
@@ -183,7 +183,7 @@ class Guardians:
         return all(each.alive for each in self._each)
 
     def beat(self) -> None:
-        """Say that this process lives."""
+        """Report that this process lives."""
         for each in self._each:
             each.beat()
 
@@ -193,6 +193,6 @@ class Guardians:
             each.goodbye()
 
     def leave(self) -> None:
-        """Let them do their work, as if this process had been killed."""
+        """Close all pipes without a goodbye, so that the guardians turn the lights off."""
         for each in self._each:
             each.leave()

@@ -26,7 +26,12 @@ HEAD_END = b"\r\n\r\n"
 
 
 def main() -> int:
-    """Wait for the end; 0 when the lights were no matter any more or are dark, 1 when not sure."""
+    """Wait until the capture ends.
+
+    Returns:
+        0 when the capture had ended in order, had lit nothing yet, or the lights are dark; 1 when
+        that is not certain.
+    """
     # The terminal's Ctrl-C and a service's stop are the capture's matter.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE):
         signal.signal(number, signal.SIG_IGN)

@@ -41,9 +41,9 @@ class IclLights:
             raise ConfigError(
                 "--leds",
                 field=f"lights={options.lights}",
-                found=f"a rig with a light at channel {count - 1}",
+                found=f"a rig with a lamp at channel {count - 1}",
                 expected=f"channels 0 to {len(members) - 1}: the stage has "
-                f"{grid[0]} arcs of {counted(grid[1], 'light')}",
+                f"{grid[0]} arcs of {counted(grid[1], 'lamp')}",
                 hint="Do the rig's addresses and the URL's lights=.. belong together?",
             )
         own = members[:count]

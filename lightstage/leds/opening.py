@@ -99,7 +99,7 @@ def require_channels(wired: WiredLeds, rig: Rig, leds: str) -> None:
             named = f" {name}" if several else ""
             raise DeviceError(
                 f"LED device{named} at {addresses[name]}",
-                field="light count",
+                field="lamp count",
                 found=str(count),
                 expected=f"at least {needed[name]} (addresses in rig.json)",
                 hint="Is this the rig file of this stage"
@@ -163,7 +163,7 @@ def open_leds(url: str | Address, light_count: int) -> OpenLeds:
         raise ConfigError(
             "--leds",
             field=address.scheme,
-            found=f"{counted(light_count, 'light')} in the rig",
+            found=f"{counted(light_count, 'lamp')} in the rig",
             expected=f"at most {MAX_LIGHTS}: the wire counts them with 16 bits",
         )
     if isinstance(options, AdalightOptions):
@@ -187,7 +187,7 @@ def open_leds(url: str | Address, light_count: int) -> OpenLeds:
             raise ConfigError(
                 "--leds",
                 field="timeout_s",
-                found=f"{options.timeout_s:g} for {counted(light_count, 'light')}, whose levels "
+                found=f"{options.timeout_s:g} for {counted(light_count, 'lamp')}, whose levels "
                 f"alone take {needed_s:.2g} s at {options.baud} baud",
                 expected=f"at least {2 * needed_s:.2g}, or a faster line",
             )

@@ -51,7 +51,7 @@ class SacnLeds(UnansweredLeds):
             raise ConfigError(
                 "--leds",
                 field="universe",
-                found=f"{counted(light_count, 'light')} up to universe {self._universes[-1]}",
+                found=f"{counted(light_count, 'lamp')} up to universe {self._universes[-1]}",
                 expected=f"at most {e131.MAX_UNIVERSE}",
             )
         # The same machine and the same address make the same sender.

@@ -164,6 +164,6 @@ def _positive(values: dict[str, str], name: str) -> float | None:
 def parse_refused(payload: bytes) -> str:
     """The content of a REFUSED, as text."""
     code = payload[0] if payload else 0
-    known = {1: "unknown type", 2: "wrong light count", 3: "bad length"}
+    known = {1: "unknown type", 2: "wrong lamp count", 3: "bad length"}
     reason = printable(payload[1:].decode(errors="replace"))
     return f"{known.get(code, f'code {code}')}: {reason}" if reason else known.get(code, f"{code}")

@@ -122,7 +122,7 @@ class WireLeds(Closing):
         """Open the line again if it broke, greet whoever is there, all lights off.
 
         Raises:
-            DeviceError: nobody there, or a device of other lights.
+            DeviceError: nobody there, or a device with another number of lamps.
         """
         with self._turn:
             if self._broken:
@@ -135,7 +135,7 @@ class WireLeds(Closing):
             if hello.light_count != before.light_count:
                 raise DeviceError(
                     self._where,
-                    field="light count",
+                    field="lamp count",
                     found=str(hello.light_count),
                     expected=f"{before.light_count}, as before",
                     hint="Another device answers now; is the cable in the right place?",
@@ -185,7 +185,7 @@ class WireLeds(Closing):
                         self._where,
                         field="HELLO",
                         found=str(error),
-                        expected="boot id, light count, firmware as UTF-8",
+                        expected="boot id, lamp count, firmware as UTF-8",
                     ) from None
                 self._boot_id = hello.boot_id
                 return hello

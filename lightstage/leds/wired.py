@@ -41,7 +41,7 @@ class WiredLeds(Closing):
 
     @property
     def hello(self) -> Hello:
-        """Who is there; the light count is that of all channels."""
+        """Who is there; the lamp count is that of all channels."""
         hellos = {name: device.hello for name, device in self._devices.items()}
         if len(hellos) == 1:
             return next(iter(hellos.values()))

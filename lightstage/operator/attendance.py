@@ -56,10 +56,10 @@ class Operator(Protocol):
     """Somebody, or a rule, who decides. Several threads may call ``receive`` and ``request``."""
 
     def command(self) -> Wish | None:
-        """What is wished now; polled. An abort is given again and again."""
+        """The operator's next request, or None. After an abort every call returns the abort."""
 
     def decide(self, findings: Sequence[Finding], retakes_left: int) -> Decision:
-        """What to do with photographs that do not do; may wait for an answer for ever."""
+        """Decide about photographs that failed a check. May wait for the operator without limit."""
 
     def receive(self, line: dict[str, Any], old: bool = False) -> None:
         """A line that is in the journal now, or `old` from before a resume; never waits."""
@@ -116,7 +116,7 @@ class Requests:
 
     @property
     def shown(self) -> str:
-        """The pattern that was lit last, which a retake is of that names none."""
+        """The pattern that was lit last; a retake without a pattern means this one."""
         with self._changed:
             return next(reversed(self._lit), "")
 

@@ -124,7 +124,7 @@ class TerminalOperator:
         """Asked from elsewhere; why not, or None where it is accepted."""
         if do == "abort" and self._stopped_s is None:  # seen at once; the lights may take longer
             self._heard, self._stopped_s = HEARD[do], time.monotonic()
-            self._show.say(Notice("stop", HEARD[do]))
+            self._show.report(Notice("stop", HEARD[do]))
         of = "" if self._question else pattern or self._requests.shown
         why = self._requests.request(do, pattern)
         if why is None:
@@ -207,7 +207,7 @@ class Shown:
             text = f"{text} {self._view.progress()}"
         self._write(text)
 
-    def say(self, words: Notice) -> None:
+    def report(self, words: Notice) -> None:
         """Write what is in no line of the journal; the picture shows it by itself."""
         if self._thread is not None:
             self._write(str(words))

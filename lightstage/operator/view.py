@@ -258,7 +258,7 @@ class View:
             self.acknowledged = leds["acknowledged"]
         count, firmware = number_of(leds, "light_count"), text_of(leds, "firmware")
         boot = text_of(leds, "boot_id")
-        parts = [counted(round(count), "light") if count is not None else ""]
+        parts = [counted(round(count), "lamp") if count is not None else ""]
         parts += [f"firmware {firmware}" if firmware else "", f"boot {boot}" if boot else ""]
         self.lights = ", ".join(filter(None, parts)) or self.lights
 

@@ -40,7 +40,7 @@ def register(app: typer.Typer) -> None:
 def patterns_command(
     sequence: str = typer.Argument("", help="Named sequence, or pattern names with commas."),
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
-    drive: str = typer.Option("solid-angle", help="How lights are driven: solid-angle or on-off."),
+    drive: str = typer.Option("solid-angle", help="How lamps are driven: solid-angle or on-off."),
     emitters: str = typer.Option(
         "", help="Colours of the emitters that are driven, with commas [all]."
     ),
@@ -87,17 +87,17 @@ def patterns_command(
         _show(rows, own)
         for axis, ids in planes.items():
             some = ", ".join(map(str, ids[:12])) + (" .." if len(ids) > 12 else "")
-            lit = counted(len(ids), "light")
+            lit = counted(len(ids), "lamp")
             print(f"On the plane {axis} = 0, half in each of a pair: {lit} ({some})")
         if any(s.pattern.startswith("mux-") for s in shots) and not has_coloured_lights(the_rig):
-            print("These lights are not red, green and blue: mux-1 and mux-2 hold one diagonal")
+            print("These lamps are not red, green and blue: mux-1 and mux-2 hold one diagonal")
             print("gradient and its complement, not six. Take `binary` for normals.")
     if out is not None:
-        title = f"{counted(len(the_rig.lights), 'light')}, driven {_words(how)}"
+        title = f"{counted(len(the_rig.lights), 'lamp')}, driven {_words(how)}"
         write_sheet(out, pattern_sheet(the_rig, [(s.pattern, s.levels) for s in shots], title))
     drawn = "" if out is None else f", drawn in {out}"
     finish(
-        f"{counted(len(shots), 'pattern')} on {counted(len(the_rig.lights), 'light')} driven "
+        f"{counted(len(shots), 'pattern')} on {counted(len(the_rig.lights), 'lamp')} driven "
         f"{_words(how)}; "
         f"full is uneven by {100 * even:.2f} %{drawn}",
         facts,

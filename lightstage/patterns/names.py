@@ -209,8 +209,8 @@ def _unpolarised(base: str, name: str, rig: Rig) -> np.ndarray:
         if not any(wanted):
             raise PatternError(
                 f"pattern {name}",
-                found="no light of this id",
-                expected=f"one of {counted(count, 'light')}",
+                found="no lamp of this id",
+                expected=f"one of {counted(count, 'lamp')}",
             )
         return np.array(wanted, float)
     raise _unknown(name)

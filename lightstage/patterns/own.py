@@ -16,7 +16,7 @@
     [patterns.street]
     environment = "street.hdr"          # beside this file; .exr, .hdr or a light set, .json
     rotate_deg = 90.0                   # about +y, +z toward +x
-    exposure_stops = -1.0               # 0: the brightest light at level 1
+    exposure_stops = -1.0               # 0: the brightest lamp at level 1
 
 Each is used by its name, also with @parallel and @cross.
 """
@@ -62,7 +62,7 @@ class PatternConfig:
         cosine: or the cosine of the angle from it to this power, 0 beyond 90 degrees.
         environment: picture or light set, relative to the file.
         rotate_deg: turn of the environment about +y, +z toward +x.
-        exposure_stops: at most 0; 0 drives the brightest light at level 1.
+        exposure_stops: at most 0; 0 drives the brightest lamp at level 1.
     """
 
     levels: tuple[float, ...] = ()
@@ -205,7 +205,7 @@ def make_pattern(name: str, table: Any, where: str, folder: Path, rig: Rig) -> U
                 field=key,
                 found=str(value),
                 expected="degrees" if key == "rotate_deg" else "at most 0",
-                hint="" if key == "rotate_deg" else "At 0 the brightest light has its full level.",
+                hint="" if key == "rotate_deg" else "At 0 the brightest lamp has its full level.",
             )
     try:
         flux = surroundings_flux(folder / config.environment, rig, config.rotate_deg)
@@ -213,7 +213,7 @@ def make_pattern(name: str, table: Any, where: str, folder: Path, rig: Rig) -> U
         raise PatternError(
             where, field="environment", found=str(error), expected="a file that can be read"
         ) from None
-    # A light farther away must send more for the same flux at the centre.
+    # A lamp farther away must send more for the same flux at the centre.
     far = np.linalg.norm(rig.positions_mm, axis=1)
     sent = flux * (far / far.max()) ** 2
     scale = float(2.0**config.exposure_stops / sent.max())
@@ -224,7 +224,7 @@ def _made(
     name: str, kind: Kind, levels: np.ndarray, is_field: bool, scale: float | None = None
 ) -> UserPattern:
     lit = int((levels > 0).sum())
-    summary = f"{lit} of {counted(len(levels), 'light')}"
+    summary = f"{lit} of {counted(len(levels), 'lamp')}"
     if scale is not None:
         summary += f", level {scale:.4g} for one unit of luminance times steradian"
         faint = int(((levels > 0) & (levels < 0.5 / 65535)).sum())

@@ -52,14 +52,14 @@ def chosen(ids: tuple[Any, ...], globs: tuple[Any, ...], where: str, rig: Rig) -
                 PatternError(
                     where,
                     field="names",
-                    found=f"no light named {glob!r}",
+                    found=f"no lamp named {glob!r}",
                     expected=f"such as {rig.lights[0].name!r} or 'arc00/*'",
                 )
             )
         on |= named
     if not problems and not on.any():
         problems.append(
-            PatternError(where, field="lights", found="no light", expected="at least one")
+            PatternError(where, field="lights", found="no lamp", expected="at least one")
         )
     if problems:
         raise one_error(problems)
@@ -69,7 +69,7 @@ def chosen(ids: tuple[Any, ...], globs: tuple[Any, ...], where: str, rig: Rig) -
 def shape(
     direction: tuple[Any, ...], cap_deg: Any, cosine: Any, where: str, rig: Rig
 ) -> np.ndarray:
-    """(n,) 0..1 of a cap or a cosine around a direction; PatternError where no light has any."""
+    """(n,) 0..1 of a cap or a cosine around a direction; PatternError where no lamp has any."""
     toward = numbers(direction, where, "direction", 3)
     length = float(np.linalg.norm(toward))
     if not (np.isfinite(length) and length > 0):
@@ -93,7 +93,7 @@ def shape(
         lit = np.maximum(along, 0.0) ** _between(cosine, 1e6, where, "cosine")
     if not lit.any():
         raise PatternError(
-            where, field="direction", found="no light there", expected="at least one light lit"
+            where, field="direction", found="no lamp there", expected="at least one lamp lit"
         )
     return np.asarray(lit)
 

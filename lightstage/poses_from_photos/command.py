@@ -77,7 +77,7 @@ def import_command(
         "[the one in the middle of all].",
     ),
     lights: Path | None = typer.Option(
-        None, help="Without --rig: rig.json whose lights are taken [the default rig's]."
+        None, help="Without --rig: rig.json whose lamps are taken [the default rig's]."
     ),
     lenses: Path | None = typer.Option(
         None,
@@ -110,7 +110,7 @@ def import_command(
         the_rig = load_rig(rig)
     elif emitters is not None:
         raise ConfigError(
-            "--emitters", found="without --rig", expected="a rig.json whose lights have a `colour`"
+            "--emitters", found="without --rig", expected="a rig.json whose lamps have a `colour`"
         )
     else:
         lengths = [parse_length(text) for text in length]

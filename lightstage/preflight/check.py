@@ -29,7 +29,7 @@ def preflight(
     plan: Plan,
     config: PreflightConfig,
 ) -> list[Finding]:
-    """Look at lights, cameras, disk and clocks; nothing is changed but for a trial file.
+    """Check lights, cameras, disk and clocks; nothing is changed but for a trial file.
 
     Args:
         rig: lights and cameras wanted.
@@ -93,7 +93,7 @@ def _led_findings(rig: Rig, leds: LedController) -> list[Finding]:
             Finding(
                 "refuse",
                 "light-count",
-                "LED device, light count",
+                "LED device, lamp count",
                 str(count),
                 f"at least {needed} (addresses in rig.json)"
                 if rig.addressed

@@ -36,7 +36,7 @@ def require_known(subject: str, config: SessionConfig) -> None:
         field="subject",
         found=f"no {composed!a}",
         expected="every subject in this table ([session] pseudonyms)",
-        hint=f"Add the line {composed} to it, or look for a typing error{meant}.",
+        hint=f"Add the line {composed} to it, or check for a typing error{meant}.",
     )
 
 

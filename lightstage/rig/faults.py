@@ -36,7 +36,7 @@ def rig_faults(rig: Rig, where: str | Path) -> list[LightstageError]:
         )
         return problems
     for light in rig.lights:
-        field = f"light {light.id} ({light.name})"
+        field = f"lamp {light.id} ({light.name})"
         if light.id in seen:
             fault(field, f"an id that {seen[light.id]} has too", "an id of its own")
         seen[light.id] = light.name
@@ -45,7 +45,7 @@ def rig_faults(rig: Rig, where: str | Path) -> list[LightstageError]:
             fault(
                 f"{field}.position_mm",
                 f"{distance:.3g} mm from the origin",
-                "a light on the sphere",
+                "a lamp on the sphere",
                 "Positions are in mm, the origin is the sphere's centre; is it metres?",
             )
         if light.bank is not None and light.bank not in BANKS:
@@ -53,7 +53,7 @@ def rig_faults(rig: Rig, where: str | Path) -> list[LightstageError]:
                 f"{field}.bank",
                 repr(light.bank),
                 " or ".join(BANKS),
-                "Leave it out where the light has no polariser.",
+                "Leave it out where the lamp has no polariser.",
             )
         if light.colour is not None and not COLOUR.fullmatch(light.colour):
             fault(
@@ -81,7 +81,7 @@ def rig_faults(rig: Rig, where: str | Path) -> list[LightstageError]:
 
 
 def _wiring_faults(rig: Rig, where: str | Path) -> list[LightstageError]:
-    """Lights that no wire, or another light's wire, would light."""
+    """Lamps that no wire, or another lamp's wire, would light."""
     without = [light for light in rig.lights if light.address is None]
     if not rig.addressed:
         return []
@@ -89,10 +89,10 @@ def _wiring_faults(rig: Rig, where: str | Path) -> list[LightstageError]:
         return [
             RigError(
                 where,
-                field=f"light {without[0].id} ({without[0].name}).address",
-                found=f"none; {len(without)} of {counted(len(rig.lights), 'light')} have none",
-                expected="an address of each light, or of no light",
-                hint="Without any, a light's channel is its place in the list, counted from 0.",
+                field=f"lamp {without[0].id} ({without[0].name}).address",
+                found=f"none; {len(without)} of {counted(len(rig.lights), 'lamp')} have none",
+                expected="an address of each lamp, or of no lamp",
+                hint="Without any, a lamp's channel is its place in the list, counted from 0.",
             )
         ]
     owner: dict[tuple[str, int], Light] = {}
@@ -103,8 +103,8 @@ def _wiring_faults(rig: Rig, where: str | Path) -> list[LightstageError]:
             problems.append(
                 RigError(
                     where,
-                    field=f"light {light.id} ({light.name}).address",
-                    found=f"channel {address.channel}, which light {other.id} ({other.name}) has",
+                    field=f"lamp {light.id} ({light.name}).address",
+                    found=f"channel {address.channel}, which lamp {other.id} ({other.name}) has",
                     expected="a channel of its own",
                 )
             )

@@ -106,7 +106,7 @@ class SafeLights:
 
         Raises:
             LightLostError: dark was asked for meanwhile, or the device lost the light.
-            DeviceError: levels out of range, or a light whose time or warmth is used up.
+            DeviceError: levels out of range, or a lamp whose time or warmth is used up.
         """
         require_levels(levels)
         if len(levels) != len(self._rig.lights):
@@ -227,7 +227,7 @@ class SafeLights:
         raise DeviceError(
             "lights",
             field="budget",
-            found=f"light {light.id} ({light.name}) on for {on_s:.0f} s at full level so far, at "
+            found=f"lamp {light.id} ({light.name}) on for {on_s:.0f} s at full level so far, at "
             f"{heat:.2f} of full power's warmth: {allowed[place]:.3g} s left for this state",
             expected=f"{needed_s:.3g} s within max_light_on_s {config.max_light_on_s:g} and "
             f"max_heat {config.max_heat:g}",

@@ -129,7 +129,7 @@ def check_shots(shots: Sequence[Shot], rig: Rig, config: SafetyConfig, shot_wors
             ConfigError(
                 "sequence",
                 field=field,
-                found=f"{counted(over, 'light')} over the budget, light {worst.id} ({worst.name}) "
+                found=f"{counted(over, 'lamp')} over the budget, lamp {worst.id} ({worst.name}) "
                 "up to " + template.format(values.max()),
                 expected="at most " + limit_template.format(limit),
                 hint="Split the sequence, or lower the cameras' deadline.",

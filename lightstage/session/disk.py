@@ -45,7 +45,7 @@ def disk_errors(where: str | Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        usual = (str(error.strerror or error), "Look at the disk and its mount, then resume.")
+        usual = (str(error.strerror or error), "Inspect the disk and its mount, then resume.")
         found, hint = _WORDS.get(error.errno or 0, usual)
         raise CaptureError(
             where, found=found, expected="a disk that can be written", hint=hint

@@ -21,7 +21,7 @@ def absent(root: Path, photographs: Iterable[Kept]) -> list[Kept]:
 
     Args:
         root: the session's folder.
-        photographs: to look for.
+        photographs: to search for.
 
     Raises:
         FormatError: one that leads out of the session over a link.
@@ -71,7 +71,7 @@ def why_not_delete(root: Path, state: SessionState, key: Key) -> str:
 
 
 def require_on_disk(root: Path, state: SessionState) -> None:
-    """Look for everything of a session that is about to be called complete.
+    """Search for everything of a session that is about to be called complete.
 
     The photographs' bytes are not read: a moment ago that was done by `damaged`.
 

@@ -318,7 +318,7 @@ class Reconciler(Leftovers):
                 str(path),
                 found="a file that is missing or damaged, and that the card does not have either",
                 expected="the photograph that was kept",
-                hint="It is taken again. Look at the disk.",
+                hint="It is retaken. Inspect the disk.",
                 pattern=kept.pattern,
                 camera=camera.id,
             )

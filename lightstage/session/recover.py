@@ -56,7 +56,7 @@ def reconcile(
 def bring_home(
     writer: SessionWriter, cameras: Sequence[CameraDevice], *, delete: bool = False
 ) -> Reconciled:
-    """Before a session ends: look for every photograph, on the disk and on the cards.
+    """Before a session ends: search for every photograph, on the disk and on the cards.
 
     The bytes of each are read back from the disk. One that is missing or damaged comes from its
     card again, or its take is rejected and the pattern is wanted again (`Reconciled.wanted`).
@@ -92,8 +92,8 @@ def bring_home(
                 "card-unread",
                 problem.where,
                 found=problem.found or str(problem),
-                expected="its card, to look for pictures that were left there",
-                hint="All that counts is kept. Look at the card before you empty it.",
+                expected="its card, to search for photographs that were left there",
+                hint="All that counts is kept. Inspect the card before you empty it.",
             )
         )
     return found.result()

@@ -1,1 +1,1 @@
-"""Which lamp is on which wire: light after light is lit, and an operator corrects the addresses."""
+"""Which lamp is on which wire: lamp after lamp is lit, and an operator corrects the addresses."""

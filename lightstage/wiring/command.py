@@ -72,10 +72,10 @@ def identify_command(
             ask = Keys(sys.stdin.fileno()).ask
         else:
             ask = Lines().ask
-        found = identify(the_rig, leds, ask, _say, save, settings.safety, level, channels)
+        found = identify(the_rig, leds, ask, _print_line, save, settings.safety, level, channels)
     changes = corrections(the_rig, found)
     for change in changes:
-        _say(change)
+        _print_line(change)
     finish(
         f"{out}: {counted(len(changes), 'address', 'addresses')} corrected"
         if changes
@@ -139,7 +139,7 @@ class Lines:
                 "standard input",
                 found="no terminal and no line",
                 expected="somebody who reports what is seen",
-                hint="Start it in a terminal, or pipe one line for each step: a light's "
+                hint="Start it in a terminal, or pipe one line for each step: a lamp's "
                 "number, Enter for the next, c NUMBER, s NUMBER, q.",
             )
 
@@ -152,5 +152,5 @@ class Lines:
         return line
 
 
-def _say(text: str) -> None:
+def _print_line(text: str) -> None:
     print(text, file=sys.stderr, flush=True)

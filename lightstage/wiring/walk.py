@@ -1,4 +1,4 @@
-"""A walk through the lights of a rig: which one is lit, on which channel, what was corrected."""
+"""A walk through the lamps of a rig: which one is lit, on which channel, what was corrected."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from lightstage.rig import LightAddress, Rig
 
 HELP = (
-    "Enter or n next, b back, d dark, q end; with Enter: a number that light, c NUMBER its "
-    "channel, s NUMBER the light that shines instead: "
+    "Enter or n next, b back, d dark, q end; with Enter: a number that lamp, c NUMBER its "
+    "channel, s NUMBER the lamp that shines instead: "
 )
 STEPS = ("n", "b", "d", "q")
 """What one key does; the others want a number."""
@@ -38,10 +38,10 @@ class Walk:
     over: bool = False
 
     def state(self) -> str:
-        """The light that is meant: name, place, address."""
+        """The lamp that is meant: name, place, address."""
         light, address = self.rig.lights[self.at], self.rig.addresses[self.at]
         return (
-            f"Light {light.id} ({light.name}), {self.at + 1} of {len(self.rig.lights)}: "
+            f"Lamp {light.id} ({light.name}), {self.at + 1} of {len(self.rig.lights)}: "
             f"{place_in_words(np.array(light.position_mm))}; "
             f"channel {address.channel} of {address.controller}"
         )
@@ -50,7 +50,7 @@ class Walk:
         """Do what an operator's line asks for.
 
         Returns:
-            What was done or could not be, in words; empty where the light that is meant now
+            What was done or could not be, in words; empty where the lamp that is meant now
             shows it.
         """
         parts = _SAID.fullmatch(line.strip().lower())
@@ -92,10 +92,10 @@ class Walk:
 
     def _no_light(self, light_id: int) -> str:
         ids = [light.id for light in self.rig.lights]
-        return f"No light {light_id}: the rig has ids from {min(ids)} to {max(ids)}."
+        return f"No lamp {light_id}: the rig has ids from {min(ids)} to {max(ids)}."
 
     def _connect(self, place: int, wire: LightAddress) -> str:
-        """Give a light a wire; who had it gets the one that the light had, so none is double."""
+        """Give a lamp a wire; the lamp that had it gets the first one's, so none is double."""
         count = self.counts[wire.controller]
         if wire.channel >= count:
             return f"No {self._wire(wire)}: there are {count}, counted from 0."
@@ -103,12 +103,12 @@ class Walk:
         light, before = self.rig.lights[place], wires[place]
         self.lit = True
         if before == wire:
-            return f"Light {light.id} ({light.name}) is on {self._wire(wire)} already."
-        text = f"Light {light.id} ({light.name}) is on {self._wire(wire)} now"
+            return f"Lamp {light.id} ({light.name}) is on {self._wire(wire)} already."
+        text = f"Lamp {light.id} ({light.name}) is on {self._wire(wire)} now"
         if wire in wires:
             other = wires.index(wire)
             wires[other] = before
-            text += f", and light {self.rig.lights[other].id} on {self._wire(before)}"
+            text += f", and lamp {self.rig.lights[other].id} on {self._wire(before)}"
         wires[place] = wire
         self.rig = self.rig.readdressed(wires)
         return f"{text}."
@@ -137,12 +137,12 @@ def place_in_words(position_mm: np.ndarray) -> str:
 
 
 def corrections(before: Rig, after: Rig) -> list[str]:
-    """Each light whose address changed, in words."""
+    """Each lamp whose address changed, in words."""
     pairs = zip(before.lights, before.addresses, after.addresses, strict=True)
     return [
-        f"light {light.id} ({light.name}): channel {was.channel} -> {now.channel}"
+        f"lamp {light.id} ({light.name}): channel {was.channel} -> {now.channel}"
         if was.controller == now.controller
-        else f"light {light.id} ({light.name}): channel {was.channel} of {was.controller} -> "
+        else f"lamp {light.id} ({light.name}): channel {was.channel} of {was.controller} -> "
         f"{now.channel} of {now.controller}"
         for light, was, now in pairs
         if was != now

@@ -24,19 +24,19 @@ class WeightConfig:
     feather_mm: float = 6.0
     """A view's weight rises from 0 at its silhouettes to full at this distance from them."""
     erode_px: float = 1.5
-    """So many pixels along silhouettes hold some background and are not read at all."""
+    """Width along silhouettes that is not read, because these pixels contain background, px."""
     jump_mm: float = 4.0
     """Neighbouring depths farther apart (and than eight pixels' width) are a silhouette."""
     bias_mm: float = 0.4
-    """A texel this far behind the z-buffer still counts as seen ..."""
+    """Distance behind the z-buffer at which a texel still counts as seen, mm."""
     bias_px: float = 1.5
-    """... and so many pixels of the surface's own slope more."""
+    """Added to `bias_mm`: depth change of the surface over this many pixels."""
     least_cos: float = 0.15
     """Views from flatter than this show nothing usable."""
     doubt_deg: float = 25.0
-    """Where a view's normal is farther than this from the mesh's, its maps count less ..."""
+    """A view's maps lose weight where its normal differs from the mesh's by more than this."""
     disbelief_deg: float = 50.0
-    """... and not at all from here on: it was solved on a wrong surface."""
+    """They have no weight where it differs by more than this: it was solved on a wrong surface."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,6 +51,7 @@ class BlendConfig:
     """A view whose weight is below this share of the best's adds nothing to the fine band, where
     it would count a ten-thousandth: half floats do not resolve that."""
     weights: WeightConfig = dataclasses.field(default_factory=WeightConfig)
+    """How each view is weighted."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,10 +67,12 @@ class AtlasConfig:
     largest_gap_mm: float = 1.5
     """Where the registered mesh is farther than this from the scan, views are not believed."""
     mirror_mm: float = 3.0
-    """A template's vertex whose mirror image has none nearer than this has no other side."""
+    """Largest distance from a vertex's mirror image to the nearest vertex for the two to be a pair,
+    mm."""
     skin_margin_mm: float = 2.0
     """What is nearer than this to an eye or to the opening of the mouth is no skin."""
     blend: BlendConfig = dataclasses.field(default_factory=BlendConfig)
+    """How views are weighted and merged."""
 
     def __post_init__(self) -> None:
         """Refuse rows that no 3:2 atlas has, before any stage runs."""

@@ -25,7 +25,7 @@ def left_in_words(left: Left) -> str:
     if left.failed:
         text += f", {left.failed} failed"
     if left.seconds_left is None:
-        return f"{text}; looking what is to be done"
+        return f"{text}; checking what is to be done"
     return f"{text}, {duration(left.seconds_left)} left" if left.seconds_left else text
 
 

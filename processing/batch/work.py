@@ -229,7 +229,7 @@ def _progress(order: Order) -> Any:
                 raise StoppedWork
             if time.monotonic() - sent_s >= PROGRESS_EVERY_S:
                 sent_s = time.monotonic()
-                _tell({"out": order.out, "stage": stage, "done": done, "total": total})
+                _report({"out": order.out, "stage": stage, "done": done, "total": total})
 
         progress(0, 0)
         yield progress
@@ -237,7 +237,7 @@ def _progress(order: Order) -> Any:
     return bar
 
 
-def _tell(event: dict[str, Any]) -> None:
+def _report(event: dict[str, Any]) -> None:
     from distributed import get_worker
 
     with contextlib.suppress(ValueError):  # outside a worker, as in a test, nobody listens

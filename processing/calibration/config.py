@@ -16,7 +16,12 @@ class CalibrateConfig:
     """Settings of `calibrate`; a table of its TOML file each."""
 
     chart: ChartConfig = dataclasses.field(default_factory=ChartConfig)
+    """How the colour chart is read."""
     colour: ColourFitConfig = dataclasses.field(default_factory=ColourFitConfig)
+    """How colour corrections are fitted."""
     flat: FlatConfig = dataclasses.field(default_factory=FlatConfig)
+    """How flats and darks are read."""
     grey: GreyConfig = dataclasses.field(default_factory=GreyConfig)
+    """The grey ball of known reflectance."""
     lights: LightsConfig = dataclasses.field(default_factory=LightsConfig)
+    """How lamps are measured."""

@@ -376,7 +376,7 @@ def require_somebody(subject: str, folders: Sequence[Path], found: Found) -> Non
             field="SUBJECT",
             found=f"nothing of {subject!r} in {', '.join(map(str, folders))}",
             expected="the pseudonym of somebody who is there",
-            hint="Look for a typing error, or name more folders with --in.",
+            hint="Check for a typing error, or name more folders with --in.",
         )
 
 

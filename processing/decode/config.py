@@ -12,7 +12,7 @@ class PrepareConfig:
     forced: bool = False
     """Use photographs that do not add up as their patterns do."""
     cells_per_mm: float = 2.0
-    """Of the small pictures in which motion and light are measured."""
+    """Resolution of the small pictures in which motion and light are measured, cells per mm."""
     still_px: float = 0.25
     """A photograph displaced by less (root mean square) is left as it is."""
     least_explained: float = 0.15
@@ -22,7 +22,7 @@ class PrepareConfig:
     least_ambient: float = 0.003
     """Ambient light above this share of full is taken off, where all pairs show it alike."""
     ambient_sigma_mm: float = 3.0
-    """Over which ambient light is smoothed, as a share of full."""
+    """Sigma of the Gaussian that smooths ambient light, mm at the sphere's centre."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,5 +39,6 @@ class DecodeConfig:
     """PLY file of this head as it sat, such as an earlier run's base mesh: only what it covers,
     and `mesh_margin_mm` around it, is developed. None where empty."""
     mesh_margin_mm: float = 25.0
+    """Width around that mesh that is developed too, mm."""
     prepare: PrepareConfig = dataclasses.field(default_factory=PrepareConfig)
     """Motion, ambient light and flicker between the photographs."""

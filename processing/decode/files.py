@@ -126,7 +126,7 @@ def first_look(job: CameraJob, out: Path, limit: Window, *, crop: bool) -> Look:
         limit: the largest window.
         crop: whether the face is searched for, or all of `limit` is taken.
     """
-    on = lookers(job.session, [name for name in job.lit if name in job.frames])
+    on = patterns_to_search(job.session, [name for name in job.lit if name in job.frames])
     keys = [job.key(name) for name in on]
     key = hash_of(keys, job.foreground_share, crop, dataclasses.asdict(limit))
     known = _written_facts(job, out).get("look")
@@ -152,8 +152,11 @@ def first_look(job: CameraJob, out: Path, limit: Window, *, crop: bool) -> Look:
     return Look(key, window, power_of_two(peak), opened)
 
 
-def lookers(session: Session, patterns: Sequence[str]) -> list[str]:
-    """The pattern that lights from all around with the most light; all where none does."""
+def patterns_to_search(session: Session, patterns: Sequence[str]) -> list[str]:
+    """Patterns in which the face is searched for.
+
+    That is the one that lights from all around with the most light, or all where none does.
+    """
     places = session.rig.positions_mm
     towards = places / np.linalg.norm(places, axis=1, keepdims=True)
     best, most = None, 0.0

@@ -106,8 +106,10 @@ def mirrored_of_lamps(lights: PatternLights, camera: Camera) -> np.ndarray:
     return mirror_shares(*_lamps(lights), camera)
 
 
-def evened(rgb: np.ndarray, lights: PatternLights, camera: Camera, normals: np.ndarray) -> None:
-    """Make readings, in place, as if polarisers took half of all diffuse light alike.
+def undo_polariser_loss(
+    rgb: np.ndarray, lights: PatternLights, camera: Camera, normals: np.ndarray
+) -> None:
+    """Rescale readings in place to those of polarisers that pass half of all diffuse light.
 
     Args:
         rgb: (n, P, 3).

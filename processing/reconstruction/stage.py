@@ -43,7 +43,7 @@ from processing.reconstruction.small_views import (
     smaller_picture,
 )
 from processing.reconstruction.stereo import focus_point, match_views, sources_of
-from processing.reconstruction.two_passes import Depths, as_known, meshed, twice
+from processing.reconstruction.two_passes import Depths, as_known, meshed, reconstruct_in_two_rounds
 from processing.reconstruction.views import View, common_basis, make_view, pyramid
 from processing.reconstruction.worn import Coloured, without_worn
 
@@ -321,7 +321,9 @@ def reconstruct_views(
         occluders = beside(mesh)
     else:
         found = match_views(views, config, progress)
-        found, points, mesh, occluders = twice(views, found, config, lights, progress, beside)
+        found, points, mesh, occluders = reconstruct_in_two_rounds(
+            views, found, config, lights, progress, beside
+        )
     level, depths, _ = found
     if config.colmap_to:
         write_colmap(Path(config.colmap_to), names, level, depths, sources_of(views, config))

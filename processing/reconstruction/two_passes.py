@@ -64,7 +64,7 @@ def as_known(
     return (as_matched(*found[:2]), *found[1:]), plain
 
 
-def twice(
+def reconstruct_in_two_rounds(
     views: Sequence[View],
     found: Depths,
     config: ReconstructConfig,

@@ -21,9 +21,9 @@ from processing.reconstruction.fusion import compact
 from processing.reconstruction.pieces import larger_pieces
 
 OTHER_HUE_DEG = 30.0
-"""Colours that are so far from the face's are no skin: lips and hair are within 25."""
+"""Colours this far from the face's hue are not skin: lips and hair are within 25."""
 DARK, DARK_HUE_DEG = 0.15, 7.0
-"""Nor are those darker than this share of the face that are so far from its hue."""
+"""Colours darker than this share of the face, and this far from its hue, are not skin."""
 HEAD_SHARE = 0.25
 """Share of the mesh, nearest to where the cameras aim, whose median colour is the face's."""
 LEAST_CM2 = 30.0
@@ -35,7 +35,7 @@ AMONG = 16
 FACE_MM = 60.0
 """Pixels so near to where the cameras aim show the face."""
 PIXELS = 10_000
-"""So many of a view show whether there is anything at all that may be worn."""
+"""Number of pixels of a view that are sampled to decide whether clothes can be present."""
 LEAST_SHARE = 0.005
 """Share of these below which nothing is worn, and no ray is cast."""
 

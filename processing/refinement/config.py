@@ -18,7 +18,7 @@ class RefineConfig:
     shadow_offset_mm: float = 0.1
     """Shadow rays start this far off the mesh, beyond its own roughness."""
     smoothing_mm: float = 1.0
-    """Over which the mesh's normals are averaged."""
+    """Distance over which the mesh's normals are averaged, mm."""
     occlusion_directions: int = 200
     """Directions over the sphere for ambient occlusion."""
     bounce_rays: int = 512
@@ -30,12 +30,17 @@ class RefineConfig:
     noise_from_photographs: bool = True
     """Whether the sensor's noise is measured where pairs of patterns show it (`noise`)."""
     noise_sensor: float = 0.001
+    """Root of the shot noise's variance for a reading of 1 (`joint.Noise`), where no pair of
+    patterns shows it."""
     noise_floor: float = 0.25
+    """Variance of the noise without light, as a multiple of the shot noise's variance for a reading
+    of 1, where no pair of patterns shows it."""
     noise_model: float = 0.003
+    """Error of the model of one channel's reading, as a share of the reading."""
     noise_shade_gloss: float = 0.03
+    """`noise_shade` in the search for gloss, where colour counts more than the model of light."""
     noise_shade: float = 0.003
-    """Of the readings: see `joint.Noise`. The first two hold where no pair of patterns shows them;
-    for gloss, colour counts more than the model of light."""
+    """Error of a pattern's modelled irradiance, as a share of it, in all channels alike."""
     gloss_rounds: int = 3
     """Steps of the search for roughness and specular albedo."""
     gloss_pixels: int = 150_000
@@ -44,13 +49,14 @@ class RefineConfig:
     """Light is gathered at nodes so far apart and interpolated between them; in pictures whose
     pixels are larger than half of it, and everywhere for 0, each pixel's own is gathered."""
     choice_pixels: int = 16_000
-    """So many pixels of all views choose the model of light (`model_choice`); 0 takes the simplest:
-    Beckmann's round lobe, no light from skin to skin, the first of `scattering`."""
+    """Number of pixels of all views that choose the model of light (`model_choice`); 0 takes the
+    simplest: Beckmann's round lobe, no light from skin to skin, the first of `scattering`."""
     roughness: float = 0.28
     """m to start from; skin has .2 to .35."""
     roughness_pool_mm: float = 5.0
+    """Sigma over which all views' evidence of roughness is pooled on the mesh."""
     specular_pool_mm: float = 3.0
-    """Sigma over which all views' evidence is pooled on the mesh."""
+    """Sigma over which all views' evidence of specular albedo is pooled on the mesh."""
     specular_detail_mm: float = 0.5
     """Sigma over which one view's pixels share a specular albedo finer than the mesh's."""
     specular_detail_spread: float = 0.002
@@ -60,10 +66,10 @@ class RefineConfig:
     gloss_spread: float = 0.003
     """Standard deviation of the specular albedo over a face."""
     mistaken: float = 0.004
+    """Error of the specular albedo, as a share of the diffuse albedo, where light goes from skin to
+    skin or inside it: some of that light is mistaken for gloss."""
     mistaken_bounces: float = 0.2
-    """Where light goes from skin to skin or inside it, some is mistaken for gloss: what the
-    specular albedo is wrong by as a share of the diffuse one, everywhere, and times the light that
-    comes from other skin (1 = white under `full`)."""
+    """The same error per unit of light from other skin (1 = white under `full`); it is added."""
     rounds: int = 2
     """Steps of the last solve of each pixel."""
     albedo_prior_power: float = 0.005
@@ -83,8 +89,8 @@ class RefineConfig:
     doubtful_apart_deg: float = 5.0
     """This angle between the diffuse normal and that of all readings halves the confidence."""
     apart_deg: float = 2.0
-    """What light wandering inside the skin turns its diffuse normals by: where noise beyond what
-    is expected turns those of chroma by as much, the normals of all readings count half."""
+    """Turn of the diffuse normals by light that wanders inside the skin, in degrees. Where noise
+    beyond the expected turns the normals of chroma by as much, those of all readings weigh half."""
     steady_below: float = 0.4
     """Normals of less confidence are drawn to the mesh's."""
     edge_px: float = 3.0

@@ -305,7 +305,9 @@ def left_when_fitted(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
     """The squared residual that the best turns and albedos leave; NaN where they are not fixed.
 
     Args:
-        a, b, c: of `normal_equations`; a is destroyed.
+        a: (5, 5) of `normal_equations`; it is destroyed.
+        b: (5, 3) of `normal_equations`.
+        c: (3, 3) of `normal_equations`.
     """
     found = b[:, :1].copy()
     if not solve_in_place(a, found):

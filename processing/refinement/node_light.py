@@ -110,8 +110,9 @@ def grid_kernel(
     """Fill in what the polynomials of a grid's pixels hold beyond light and its slopes.
 
     Args:
-        points, views: (n, 3) float32.
-        corners, weights: (n, 3) of `Shadows`.
+        points: (n, 3) float32, mm, world.
+        views: (n, 3) float32, unit, toward the camera.
+        corners, weights: (n, 3) int32 and float32, of `Shadows`.
         lamps: the stage.
         axis: (3, 3) float32, see `across`.
         turn: (s, 2) float32 of `turns`.
@@ -171,9 +172,11 @@ def node_kernel(
         step: pixels between the grid's.
         number: (h, w) int32 row of `table` for the grid's pixels, -1 where there is none.
         table: (m, P OF_PATTERN + OF_GRID) float32 of `grid_kernel`.
-        points, views, mesh: (n, 3) float32, the last the mesh's normals.
+        points: (n, 3) float32, mm, world.
+        views: (n, 3) float32, unit, toward the camera.
+        mesh: (n, 3) float32, the mesh's unit normals.
         others: (n, 2) float32 facing and ambient occlusion.
-        corners, weights: (n, 3) of `Shadows`.
+        corners, weights: (n, 3) int32 and float32, of `Shadows`.
         lamps: the stage.
         axis: (3, 3) float32, see `across`.
         good: (n,) bool, set where a node has light.

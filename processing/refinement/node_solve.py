@@ -272,7 +272,7 @@ def solve_eight(
     """Solve eight pixels: a workspace's rows are numbers of eight pixels.
 
     Args:
-        ws: flat float32, rows of LANES numbers.
+        ws: (rows * LANES,) float32, rows of LANES numbers.
         rgb: first of 3 P rows of readings; 3 P rows after them become their weights.
         node: first of OF_PATTERN P rows of light.
         state: first of OF_STATE P rows, scratch.
@@ -280,7 +280,8 @@ def solve_eight(
         results: first of RESULTS rows, filled in.
         patterns: P.
         rounds: steps.
-        read2, shot2, model2, shade2, kept: as of `joint_kernels.Spread`.
+        read2, shot2, model2, shade2: as of `joint_equations.Spread`.
+        kept: (3,) float64, as of `joint_equations.Spread`.
         widest2: squared turn from the nodes' normals beyond which the light is not known.
     """
     one, zero = every(np.float32(1)), every(np.float32(0))

@@ -13,7 +13,7 @@ from processing.frames.read import Frames
 from processing.lighting.facets import BECKMANN, Facets
 from processing.lighting.interface import Interface, skin_interface
 from processing.lighting.lights import PatternLights, Shadows
-from processing.lighting.polarisers import evened, mirrored_of_lamps
+from processing.lighting.polarisers import mirrored_of_lamps, undo_polariser_loss
 from processing.masks import edge_distance_px
 from processing.readings import px_per_mm, read_pixels
 from processing.refinement.config import RefineConfig
@@ -185,7 +185,7 @@ def read_sight(
         done, top = done + len(pixels), bottom
     rgb /= white.astype(np.float32)
     usable &= faces_camera(sight)
-    evened(rgb, scene.lights, camera, sight.normals)
+    undo_polariser_loss(rgb, scene.lights, camera, sight.normals)
     mirrored = mirrored_of_lamps(scene.lights, camera)
     return View(sight, rgb, saturation, usable, px_per_mm(camera) / step, mirrored)
 

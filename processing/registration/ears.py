@@ -153,7 +153,7 @@ class _Ear:
 
     @classmethod
     def all_of(cls, vertices: np.ndarray, triangles: np.ndarray) -> _Ear:
-        """Every vertex of a mesh."""
+        """Every vertex of a mesh of (n, 3) vertices and (t, 3) triangles."""
         return cls(vertices, vertex_normals(vertices, triangles), vertex_areas(vertices, triangles))
 
     def some(self, chosen: np.ndarray) -> _Ear:

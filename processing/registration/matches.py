@@ -57,9 +57,9 @@ class Matcher:
         self._found: Closest | None = None
         self._sky = np.zeros(len(hidden))
         self.queried = 0
-        """Vertices whose closest point was needed so far, over all rounds ..."""
+        """Vertices whose closest point was needed so far, over all rounds."""
         self.kept = 0
-        """... and those of them that had it from a round before."""
+        """Vertices among `queried` that kept the closest point of an earlier round."""
         self._rim = np.flatnonzero(border_vertices(triangles, len(hidden)))
         self._scan_rim = target.border_points()
         self._scan_tree = cKDTree(self._scan_rim) if len(self._scan_rim) else None

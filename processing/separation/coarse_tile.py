@@ -237,7 +237,17 @@ def solve_eight(
 def near_tile(
     kept: np.ndarray, good: np.ndarray, x: float, y: float, z: float, own: np.ndarray
 ) -> int:
-    """Of good pixels, own (TILE,) where the tile does not do; returns how many it does for."""
+    """Find the good pixels of a tile that its shared solution does not fit.
+
+    Args:
+        kept: (KEPT * TILE,), of `solve_eight`.
+        good: (TILE,) uint8, 1 for pixels that can be used.
+        x, y, z: the tile's unit normal.
+        own: (TILE,) uint8, filled in: 1 for good pixels that must be solved by themselves.
+
+    Returns:
+        For how many good pixels the tile's solution holds.
+    """
     zero = np.float32(0)
     done = 0
     for i in range(TILE):
@@ -269,7 +279,15 @@ def store_eight(
     at: int,
     maps: Maps,
 ) -> None:
-    """Keep eight pixels that are beside each other in the maps, from flat rows of LANES numbers."""
+    """Write eight pixels that are beside each other to the maps.
+
+    Args:
+        kept: (KEPT * TILE,), rows of a tile: normal, albedo, roughness, specular albedo.
+        base: first of the eight in a row.
+        trust: their confidence.
+        at: first of the eight in the maps.
+        maps: are filled in.
+    """
     red, green = load(kept, base), load(kept, base + TILE)
     store_triples(
         maps.normal.reshape(maps.normal.size), 3 * at, red, green, load(kept, base + 2 * TILE)
@@ -292,7 +310,16 @@ def keep_one(
     at: int,
     maps: Maps,
 ) -> None:
-    """Keep one pixel of a tile from flat rows of LANES numbers, zeros where it cannot be used."""
+    """Write one pixel of a tile to the maps; zeros where it cannot be used.
+
+    Args:
+        good: whether it can be used.
+        kept: (KEPT * TILE,), as of `store_eight`.
+        i: the pixel in a row.
+        trust: its confidence.
+        at: the pixel in the maps.
+        maps: are filled in.
+    """
     if not good:
         blank(maps, at)
         return
@@ -305,7 +332,15 @@ def keep_one(
 
 @njit(cache=True, fastmath=FAST)
 def lone_reading(read: np.ndarray, first: int, patterns: int, pixel: int, mean: np.ndarray) -> None:
-    """One pixel's readings to mean (G, 3, LANES)."""
+    """Copy one pixel's readings to mean, as `solve_pixel` takes them.
+
+    Args:
+        read: (TILE_ROWS * G * LANES * 3 * LANES,), of `read_eight`.
+        first: where the pixel's row of the tile begins in it.
+        patterns: P.
+        pixel: the pixel's lane.
+        mean: (G * 3 * LANES,), filled in.
+    """
     mean[:] = 0
     for k in range(patterns):
         for c in range(3):

@@ -26,6 +26,7 @@ class KampourisConfig:
     least_saturation: float = 0.02
     """A darker photograph less saturated than this has no specular part taken off."""
     most_specular: float = 0.2
+    """Largest specular part that is taken off a photograph (1 = white under `full`)."""
     pool_mm: float = 0.0
     """Sigma over which neighbours' specular parts are averaged; 0 leaves each pixel its own."""
 
@@ -35,6 +36,7 @@ class RatiosConfig:
     """Plain ratios of complements, nothing separated."""
 
     field: Literal["uniform", "lights"] = "uniform"
+    """The light that normals and albedo are computed for, as of `KampourisConfig`."""
     specular: float = SKIN_F0
     """Taken off `full` and written as specular albedo everywhere."""
 
@@ -56,10 +58,11 @@ class SeparateConfig:
     method: Literal["auto", "colour", "kampouris", "ratios", "polarised", "linear", "mux"] = "auto"
     """`auto`: by what the session's patterns are."""
     forced: bool = False
-    """Go on where more than half of the face is ill-posed."""
+    """Continue where more than half of the face is ill-posed."""
     normals: Literal["auto", "chroma", "red", "blue", "mean"] = "auto"
     """The part of RGB that diffuse normals are taken from; `auto`: the method's own."""
     iterations: int = 5
+    """Linear solves of a normal, each with the lamps above the horizon of the one before."""
     roughness: float = 0.25
     """Beckmann's m of skin, for the lobe."""
     tile_mm: float = 0.6
@@ -68,6 +71,7 @@ class SeparateConfig:
     specular_pool_mm: float = 4.0
     """Sigma over which pixels share one specular albedo."""
     specular_prior: float = SKIN_F0
+    """Specular albedo that pixels without evidence have."""
     specular_prior_share: float = 10.0
     """Weight of the prior against the median pixel's evidence: without shadows that is poor."""
     albedo_prior_power: float = 0.005
@@ -83,12 +87,17 @@ class SeparateConfig:
     half_trust_deg: float = 5.0
     """Standard deviation of a normal that halves its confidence."""
     kampouris: KampourisConfig = dataclasses.field(default_factory=KampourisConfig)
+    """Settings of the method `kampouris`."""
     ratios: RatiosConfig = dataclasses.field(default_factory=RatiosConfig)
+    """Settings of the method `ratios`."""
     polarised: LobeFitConfig = dataclasses.field(default_factory=LobeFitConfig)
+    """Settings of the method `polarised`."""
     linear: LobeFitConfig = dataclasses.field(
         default_factory=lambda: LobeFitConfig(specular_pool_mm=4.0, specular_prior_share=3.0)
     )
+    """Settings of the method `linear`."""
     mux: MuxConfig = dataclasses.field(default_factory=MuxConfig)
+    """Settings of the method `mux`."""
 
 
 def relief_of(own: Relief, config: SeparateConfig) -> Relief:

@@ -42,6 +42,7 @@ class LobeFitConfig:
     specular_pool_mm: float = 1.0
     """Sigma over which pixels share one specular albedo."""
     specular_prior: float = SKIN_F0
+    """Specular albedo that pixels without evidence have."""
     specular_prior_share: float = 0.02
     """Weight of the prior against the median pixel's evidence."""
     albedo_prior_power: float = 0.005
@@ -51,6 +52,7 @@ class LobeFitConfig:
     detail_mm: float = 2.0
     """Relief finer than this sigma is detail."""
     mirror: MirrorConfig = dataclasses.field(default_factory=MirrorConfig)
+    """How specular normals are found from mirror directions."""
 
 
 def maps_by_lobe(

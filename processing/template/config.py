@@ -15,7 +15,9 @@ class ImportConfig:
     landmark_gap_mm: float = 4.0
     """A landmark given as a point is at most this far from the vertex that represents it."""
     smallest_size: float = SMALLEST
+    """Smallest size of the mesh's face, relative to our template's, by its landmarks."""
     largest_size: float = LARGEST
+    """Largest size of the mesh's face, relative to our template's, by its landmarks."""
     largest_misfit_mm: float = 12.0
     """Median distance of the landmarks to ours after the best similarity, at most."""
     region_gap_mm: float = 10.0
@@ -52,21 +54,23 @@ class CheckConfig:
     uv_rows: int = 3072
     """Overlaps are searched for at the texels of a texture of so many rows."""
     texture_rows: int = 6144
-    """Of the atlas, whose texels are the unit of sizes."""
+    """Rows of the atlas, whose texels are the unit of sizes."""
     least_open_sky: float = 0.08
-    """A landmark that sees less than this share of all directions is under other skin ..."""
+    """A vertex that sees less than this share of all directions may be under other skin."""
     hidden_rings: int = 2
-    """... where all vertices within so many rings around it see as little."""
+    """A landmark is under other skin where all vertices within this many rings see as little."""
     joined_mm: float = 1e-3
     """Two vertices of open borders that are no farther apart are one place that is not joined."""
     eye_mm: float = 22.0
-    """A border whose middle is this near an eye's is its opening ..."""
+    """A border is an eye's opening if its middle is nearer than this to the eye's, mm."""
     mouth_mm: float = 30.0
-    """... and so for the mouth."""
+    """A border is the mouth's opening if its middle is nearer than this to the mouth's, mm."""
     neck_mm: float = 200.0
     """A border below the chin that is longer is the neck's."""
     smallest_size: float = SMALLEST
+    """Smallest size of a template's face, relative to ours, by its landmarks."""
     largest_size: float = LARGEST
+    """Largest size of a template's face, relative to ours, by its landmarks."""
     landmark_mm: float = 25.0
     """A landmark this far from our template's, after the best similarity, is reported."""
     largest_misfit_mm: float = 20.0
@@ -76,9 +80,10 @@ class CheckConfig:
     identity_deviations: float = 2.0
     """Identity modes are tried at so many standard deviations either way."""
     stretch_angle_deg: float = 60.0
-    """Angles of skin in the texture are reported where 5 % of it are distorted by more ..."""
+    """Distortion is reported if the texture changes the angles of 5 % of the skin by more."""
     stretch_area: float = 4.0
-    """... and areas where 5 % of it have so many times more or fewer texels than the median."""
+    """Distortion is also reported if 5 % of the skin has this many times more or fewer texels than
+    the median."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,14 +91,14 @@ class TransferConfig:
     """How maps are carried from one template's texture to another's."""
 
     farthest_mm: float = 4.0
-    """What of the one surface is farther from the other is not there."""
+    """Places farther from the other surface than this have no counterpart, mm."""
     angle_deg: float = 75.0
     """Normals of the two surfaces at one place differ by less."""
     radian_mm: float = 10.0
     """Among vertices that are near a vertex, one whose normal is turned by a radian counts as so
     much farther."""
     neighbours: int = 24
-    """A vertex that the other template lacks goes as so many of the nearest that it has."""
+    """Number of nearest shared vertices that move a vertex which the other template lacks."""
     gutter_px: int = 16
     """Islands reach so far into the gutter."""
     coarsest: int = 4
@@ -108,4 +113,4 @@ class PopulationConfig:
     modes: int = 20
     """The first of its identity modes; with 100 no shape from photographs was nearer."""
     smooth_mm: float = 6.0
-    """Over so much the modes are smoothed."""
+    """Distance over which the modes are smoothed, mm."""

@@ -150,7 +150,7 @@ def _what_may_help(message: str) -> str:
     """What to do otherwise, by what failed; empty where nothing is known."""
     if "no answer to" in message:
         return ", when this computer is less busy or at a smaller --scale: the lamps were too slow"
-    if "did not do in" in message:
+    if "was not usable in" in message:
         return ", at a larger --scale if the target is too small in the pictures"
     return ""
 

@@ -260,9 +260,15 @@ def responses(
     """What each lamp alone, of weight 1, makes of each point: the basis of every light state.
 
     Args:
-        position, geometric, normal, view, roughness, bits, lamps, lobe: as in
-            `sim.light.olat.shade`.
-        lit: (k,) the lamps that are asked for.
+        position: (n, 3) mm, world.
+        geometric: (n, 3) the mesh's unit normals: a lamp below their horizon gives nothing.
+        normal: (n, 3) unit normals that shade.
+        view: (n, 3) unit directions to the camera.
+        roughness: (n,) m.
+        bits: (n, ceil(m / 8)) uint8, bit k & 7 of byte k >> 3 set where lamp k is seen.
+        lamps: m of them; their own weights are not used.
+        lit: (k,) indices of the lamps that are asked for.
+        lobe: of the points.
 
     Yields:
         Tile by tile, in order: which of the n points these t are; (t, k) float32 diffuse light of

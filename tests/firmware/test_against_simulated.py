@@ -54,7 +54,7 @@ def same_name(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module", params=[3, 168])
 def sides(request, compiled):
-    """A bench and its light count; 168 lights fill more than one COBS block."""
+    """A bench and its lamp count; 168 lights fill more than one COBS block."""
     with Bench(compiled("bench", request.param)) as bench:
         yield bench, request.param
 
@@ -167,6 +167,6 @@ def test_packets_of_many_more_lights_are_refused_by_both(sides) -> None:
     pair = Pair(bench, lights)
     payload = wire.set_payload(np.full(65535, 9))
     reply = wire.decode(pair.feed(wire.encode(Packet(Kind.SET, 1, payload)))[:-1])
-    assert wire.parse_refused(reply.payload) == f"wrong light count: 65535 of {lights} lights"
+    assert wire.parse_refused(reply.payload) == f"wrong lamp count: 65535 of {lights} lights"
     unknown = wire.encode(Packet(0x44, 2, bytes(100_000)))
     assert wire.decode(pair.feed(unknown)[:-1]).kind == Kind.REFUSED

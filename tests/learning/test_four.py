@@ -24,7 +24,7 @@ from learning.four.channels import (
     PARTS,
     SPECULAR_ALBEDO,
     SPECULAR_NORMAL,
-    one_after_the_other,
+    infer_in_sequence,
     pairs,
     seen_of,
 )
@@ -144,11 +144,11 @@ def test_right_answers_one_after_the_other_are_the_truth(store_path: Path, relat
     trained = pairs(batch)
     given: dict[str, Tensor] = {}
 
-    def say(part: str, inputs: Tensor) -> Tensor:
+    def run_part(part: str, inputs: Tensor) -> Tensor:
         given[part] = inputs
         return trained[part].target
 
-    found = one_after_the_other(say, seen_of(batch))
+    found = infer_in_sequence(run_part, seen_of(batch))
     torch.testing.assert_close(
         found.diffuse_albedo, batch.skin.diffuse_albedo, atol=1e-4, rtol=1e-3
     )

@@ -72,25 +72,25 @@ def addressed(value, *channels):
 FAULTS = {
     "two lights of one id": (
         lambda v: v["lights"][3].update(id=1),
-        r"light 1 \(corner3\): found an id that corner1 has too, expected an id of its own",
+        r"lamp 1 \(corner3\): found an id that corner1 has too, expected an id of its own",
     ),
     "a light at the origin": (
         lambda v: v["lights"][3].update(position_mm=[0, 0, 0]),
-        r"light 3 \(corner3\).position_mm: found 0 mm from the origin, expected a light on",
+        r"lamp 3 \(corner3\).position_mm: found 0 mm from the origin, expected a lamp on",
     ),
     "metres": (lambda v: v["lights"][0].update(position_mm=[0.5, 0.5, 0.5]), "is it metres"),
     "NaN place": (lambda v: v["lights"][0].update(position_mm=[float("nan"), 0, 1]), "finite"),
     "a channel of two lights": (
         lambda v: addressed(v, 0, 1, 2, 3, 1, 5, 6, 7),
-        r"light 4 \(corner4\).address: found channel 1, which light 1 \(corner1\) has, expected",
+        r"lamp 4 \(corner4\).address: found channel 1, which lamp 1 \(corner1\) has, expected",
     ),
     "many channels of several lights": (
         lambda v: addressed(v, 0, 0, 2, 2, 4, 4, 6, 6),
-        r"light 1 \(corner1\).address and 3 more: found channel 0",
+        r"lamp 1 \(corner1\).address and 3 more: found channel 0",
     ),
     "addresses of some lights": (
         lambda v: addressed(v, 0, 1, None, 3, 4, 5, None, 7),
-        r"light 2 \(corner2\).address: found none; 2 of 8 lights have none",
+        r"lamp 2 \(corner2\).address: found none; 2 of 8 lamps have none",
     ),
     "a channel below the first": (
         lambda v: addressed(v, 0, 1, 2, 3, 4, 5, 6, -7),

@@ -176,7 +176,7 @@ def test_the_command_names_which_channels_a_rig_uses(tmp_path):
     facts = json.loads(done.stdout.strip().splitlines()[-1])
     assert (facts["addressed"], facts["channels"], facts["odd"]) == (True, {"main": [3, 170]}, [])
     message = CliRunner().invoke(app, ["rig", "check", str(rig)]).stdout
-    assert "168 lights on channels 3 to 170, 9 cameras" in message
+    assert "168 lamps on channels 3 to 170, 9 cameras" in message
 
 
 def test_the_command_names_which_channels_of_which_controller_a_rig_uses(tmp_path):
@@ -186,5 +186,5 @@ def test_the_command_names_which_channels_of_which_controller_a_rig_uses(tmp_pat
     ]
     rig = save_rig(changed(lights=tuple(lights)), tmp_path / "rig.json")
     message = CliRunner().invoke(app, ["rig", "check", str(rig)]).stdout
-    assert "168 lights on channels 0 to 83 of a, channels 0 to 83 of b, 9 cameras" in message
+    assert "168 lamps on channels 0 to 83 of a, channels 0 to 83 of b, 9 cameras" in message
     assert "nothing odd" in message

@@ -44,5 +44,5 @@ def test_both_limits_are_reported_at_once(small_rig):
         check_shots(shots, small_rig, config, shot_worst_s=6.0)
     message = str(caught.value)
     assert "flashes per second, expected at most 3" in message
-    assert "8 lights over the budget" in message
+    assert "8 lamps over the budget" in message
     assert "up to 24 s" in message

@@ -18,7 +18,7 @@ from lightstage.formats.files import sha256_file
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.session import Session, load_session
 from processing.decode.config import DecodeConfig
-from processing.decode.files import CameraJob, lookers
+from processing.decode.files import CameraJob, patterns_to_search
 from processing.decode.session_photographs import Photograph
 from processing.decode.stage import decode
 from processing.errors import ProcessingError
@@ -313,8 +313,8 @@ def test_without_light_from_all_around_every_pattern_is_looked_at(tmp_path: Path
     pair = ("x+", "x-")
     root = write_raw_session(tmp_path / "session", RIG, photographs(pair), COLOUR)
     session = load_session(root)
-    assert lookers(session, list(pair)) == list(pair)
-    assert lookers(_with_all(tmp_path), list(PATTERNS)) == ["full"]
+    assert patterns_to_search(session, list(pair)) == list(pair)
+    assert patterns_to_search(_with_all(tmp_path), list(PATTERNS)) == ["full"]
     frames, facts = decoded(root, tmp_path / "out")
     assert facts["window_share_of_picture"]["cam0"] < 0.6
     mask = read_foreground(tmp_path / "out", "cam0")

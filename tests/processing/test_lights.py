@@ -123,7 +123,7 @@ def test_every_fault_of_a_lights_file_is_in_one_message(tmp_path: Path) -> None:
     with pytest.raises(FormatError) as caught:
         read_measured_lights(path, RIG)
     message = str(caught.value)
-    for word in ("light 4.position_mm", "light 5.rgb_gain", "no light 6", "exponent", "stray.x+"):
+    for word in ("lamp 4.position_mm", "lamp 5.rgb_gain", "no lamp 6", "exponent", "stray.x+"):
         assert word in message
 
 

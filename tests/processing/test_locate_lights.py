@@ -200,7 +200,7 @@ def test_addresses_are_written_into_another_rig_of_the_same_lights(stage, tmp_pa
     assert done.exit_code == 0, done.output
     assert json.loads(rig.read_text())["note"] == "measured"
     assert [a.channel for a in load_rig(rig).addresses] == stage.wires.tolist()
-    assert f"{stage.count} of {stage.count} lights found" in done.stdout
+    assert f"{stage.count} of {stage.count} lamps found" in done.stdout
     fewer = save_rig(dataclasses.replace(stage.rig, lights=stage.rig.lights[1:]), rig)
     refused = located(stage.whole, "--rig", fewer, "--out", tmp_path / "new.json")
     assert "other ids than the shots'" in str(refused.exception)

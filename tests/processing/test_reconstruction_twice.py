@@ -12,7 +12,7 @@ from processing.reconstruction.consistency import Points
 from processing.reconstruction.second_depth import Sighted, look_again, rays_of, sighted
 from processing.reconstruction.shading import mended_normals
 from processing.reconstruction.stereo import match_views, sources_of
-from processing.reconstruction.two_passes import spacing_mm, twice
+from processing.reconstruction.two_passes import reconstruct_in_two_rounds, spacing_mm
 from processing.reconstruction.views import Level, View, finest_level, halved, make_view
 from tests.processing import lit_ball, textured_ball
 from tests.processing.textured_ball import RADIUS_MM
@@ -229,7 +229,7 @@ def test_two_looks_have_fewer_outliers_than_one(views: list[View]) -> None:
     error = []
     for config in (once, CONFIG):
         first = level, [each.copy() for each in depths], [each.copy() for each in costs]
-        mesh = twice(views, first, config)[2]
+        mesh = reconstruct_in_two_rounds(views, first, config)[2]
         error.append(np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS_MM))
     assert np.median(error[1]) < 0.05
     assert np.percentile(error[1], 95) < np.percentile(error[0], 95)

@@ -40,7 +40,7 @@ typedef struct {
 #define LS_PULSE_FIELD ""
 #endif
 #define LS_HELLO LS_FIRMWARE "\0" "watchdog_ms=" LS_TEXT(LS_WATCHDOG_MS) LS_PULSE_FIELD
-/* The longest of the replies: HELLO with boot id and light count, or LIT, or REFUSED's reason. */
+/* The longest of the replies: HELLO with boot id and lamp count, or LIT, or REFUSED's reason. */
 #define LS_HELLO_BYTES (LS_HEADER + 6 + sizeof(LS_HELLO) - 1)
 #define LS_REPLY_BYTES (LS_HELLO_BYTES > 48 ? LS_HELLO_BYTES : 48)
 

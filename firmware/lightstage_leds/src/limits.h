@@ -15,7 +15,7 @@
 #endif
 
 /* So many bytes without a zero are noise: what comes until the next zero is passed over. It costs
-   no memory. As large as this, a SET of any light count is still answered: "wrong light count". */
+   no memory. As large as this, a SET of any lamp count is still answered: "wrong lamp count". */
 #ifndef LS_MAX_FRAME
 #define LS_MAX_FRAME 262144
 #endif

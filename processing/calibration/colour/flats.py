@@ -25,7 +25,7 @@ class FlatConfig:
     max_clipped_share: float = 0.001
     """A flat with more pixels at the white level is refused."""
     min_level: float = 0.02
-    """So is one whose mean is less than this share of white."""
+    """A flat whose mean is less than this share of white is refused."""
     max_residual: float = 0.03
     """Warned of where the squares depart more than this from the fit, RMS as a share."""
     max_black_offset: float = 0.0003
@@ -33,9 +33,9 @@ class FlatConfig:
     max_dark_level: float = 0.01
     """A dark brighter than this in the mean is refused: the lens cap was off."""
     hot_level: float = 0.004
-    """A pixel that is brighter by more in every dark is hot, share of white."""
+    """A pixel above the black level by more than this share of white in every dark is hot."""
     hot_sigmas: float = 8.0
-    """And by more than so many standard deviations of the noise."""
+    """A hot pixel is also above it by more than this many standard deviations of the noise."""
     max_hot_share: float = 0.001
     """More hot pixels are refused: there was light."""
 

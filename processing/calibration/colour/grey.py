@@ -19,14 +19,15 @@ class GreyConfig:
     """The grey ball."""
 
     radius_mm: float = 38.1
+    """Radius of the ball, mm, about: its outlines measure it."""
     reflectance: float = 0.18
-    """Of the ball, as its maker states or a spectrometer measured it."""
+    """Reflectance of the ball, as its maker states or a spectrometer measured it."""
     sets_the_scale: bool = False
     """Whether colours are scaled to it; else to the chart's neutral patches, and it is a check."""
     facing: float = 0.5
     """Places are read whose normal and way to the camera have at least this cosine."""
     lit_share: float = 0.3
-    """And which are lit by at least this share of the ball's brightest place."""
+    """Places are read whose light is at least this share of that of the ball's brightest place."""
 
 
 def ball_albedo(

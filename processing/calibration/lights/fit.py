@@ -40,10 +40,12 @@ AXES = ("x", "y", "z")
 
 @dataclasses.dataclass(frozen=True)
 class LightsConfig:
-    """How lights are measured."""
+    """How lamps are measured."""
 
     mirror: MirrorConfig = dataclasses.field(default_factory=MirrorConfig)
+    """How their places are found by a mirror ball."""
     grey: GreyConfig = dataclasses.field(default_factory=GreyConfig)
+    """How their gains and fall-off are found by a grey ball."""
 
 
 def fit_lights(

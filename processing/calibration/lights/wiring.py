@@ -1,4 +1,4 @@
-"""Which lamp of the rig each wire lights, from a mirror ball photographed light after light.
+"""Which lamp of the rig each wire lights, from a mirror ball photographed lamp after lamp.
 
 All photographs together show the highlights of all lamps, whatever the wires do. So each camera's
 highlights are first placed over those of the rig's lamps as a whole, by a shift, a scale and a

@@ -23,10 +23,10 @@ def locate_lights_command(
         show_default=False,
     ),
     out: Path = output_file(
-        "--out", help="The rig with its lights' addresses, .json.", suffixes=[".json"], shared=True
+        "--out", help="The rig with its lamps' addresses, .json.", suffixes=[".json"], shared=True
     ),
     rig: Path | None = typer.Option(
-        None, "--rig", help="rig.json of the same lights to write them into; the shots' own."
+        None, "--rig", help="rig.json of the same lamps to write them into; the shots' own."
     ),
     allow_unsure: bool = typer.Option(
         False,
@@ -38,7 +38,7 @@ def locate_lights_command(
     ),
     as_json: bool = JsonFlag,
 ) -> None:
-    """Which lamp each wire lights, from a mirror ball photographed light after light."""
+    """Which lamp each wire lights, from a mirror ball photographed lamp after lamp."""
     from lightstage.formats.config import make_config, read_toml, require_bounds
     from lightstage.rig import load_rig, save_rig
     from processing.bounds import BOUNDS
@@ -59,7 +59,7 @@ def locate_lights_command(
         print(f"warning: {warning}", file=sys.stderr)
     left = f", {len(found.unsure)} not sure" if found.unsure else ""
     finish(
-        f"{out}: {found.sure} of {counted(len(found.rig.lights), 'light')} found{left}, "
+        f"{out}: {found.sure} of {counted(len(found.rig.lights), 'lamp')} found{left}, "
         f"{counted(found.moved, 'address', 'addresses')} changed, highlights within "
         f"{found.worst_mm:.2f} mm on the ball",
         {

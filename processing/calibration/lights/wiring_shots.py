@@ -51,7 +51,7 @@ def locate_lights(
     """Find which lamp each wire lights.
 
     Args:
-        source: with shots of a mirror ball, light after light.
+        source: with shots of a mirror ball, lamp after lamp.
         rig: whose addresses are wanted; None: the shots' own.
         config: the ball.
         allow_unsure: whether wires that are not sure go to the lamps that are left, in order.
@@ -65,7 +65,7 @@ def locate_lights(
         raise ProcessingError(
             source.root,
             found=f"shots of {', '.join(source.poses)}",
-            expected="shots of a mirror ball, light after light",
+            expected="shots of a mirror ball, lamp after lamp",
             hint="Take them: `lightstage calibrate mirror --every-light --out LAB`.",
         )
     shot = poses[0].session.rig
@@ -75,7 +75,7 @@ def locate_lights(
             "--rig",
             field="lights",
             found=f"other ids than the shots' ({poses[0].where})",
-            expected="the same lights in the same order",
+            expected="the same lamps in the same order",
         )
     wiring = find_wiring(_seen(poses, config, progress), shot, config.radius_mm)
     channels = [address.channel for address in shot.addresses]
@@ -88,7 +88,7 @@ def locate_lights(
         raise ProcessingError(
             source.root,
             field="mirror",
-            found=f"{len(channels) - len(unsure)} of {counted(len(channels), 'light')} identified",
+            found=f"{len(channels) - len(unsure)} of {counted(len(channels), 'lamp')} identified",
             expected="most of them",
             hint="Is it this stage's rig, is the mirror ball in its middle, is its radius right "
             "([lights.mirror] radius_mm), and are the cameras where the rig has them?",
@@ -130,8 +130,8 @@ def _seen(poses: Sequence[Pose], config: MirrorConfig, progress: ProgressCallbac
             raise ProcessingError(
                 pose.where,
                 field="patterns",
-                found=f"none of {counted(len(dark), 'light')} alone, such as {_name(dark[0])}",
-                expected="a photograph under each light alone",
+                found=f"none of {counted(len(dark), 'lamp')} alone, such as {_name(dark[0])}",
+                expected="a photograph under each lamp alone",
                 hint="Take them: `lightstage calibrate mirror --every-light --out LAB`.",
             )
         seen += see_highlights(
@@ -163,4 +163,4 @@ def _what(wiring: Wiring, wire: int, rig: Rig) -> str:
 
 
 def _name(light: Light) -> str:
-    return f"light {light.id} ({light.name})"
+    return f"lamp {light.id} ({light.name})"

@@ -105,7 +105,7 @@ class Holder:
 
     Attributes:
         photographer: whose pose it sets.
-        verdicts: answers about poses that do not do, in order.
+        verdicts: answers about poses that are not usable, in order.
         stop_at: the pose before which it stops, from 1.
         asked: what it was asked to do.
         findings: what it was shown as amiss.

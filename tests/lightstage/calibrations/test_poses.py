@@ -286,8 +286,8 @@ def test_a_pose_that_never_does_stops_with_what_each_take_showed(bench, begin, s
     assert len(taker.taken) == CONFIG.takes_per_pose == 6
     assert holder.left == [5, 4, 3, 2, 1, 0]
     assert (
-        "found stopped after 0 of 3 poses: pose 1 did not do in 6 takes: cam0: no colour chart, "
-        "expected its 24 patches. Turn the chart toward this camera"
+        "found stopped after 0 of 3 poses: pose 1 was not usable in 6 takes: cam0: no colour "
+        "chart, expected its 24 patches. Turn the chart toward this camera"
     ) in str(error.value)
 
 

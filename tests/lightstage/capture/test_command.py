@@ -142,7 +142,7 @@ def test_lights_on_a_splitting_plane_are_reported_and_lit_by_half(stage, tmp_pat
     out = tmp_path / "S"
     done = run(stage, out, "--sequence", "full,x+,x-", "--drive", "on-off")
     assert done.returncode == 0, done.stderr
-    assert "1 light on the splitting plane (ids 3)" in done.stderr
+    assert "1 lamp on the splitting plane (ids 3)" in done.stderr
     session = load_session(out)
     halves = [session.levels(pattern)[3] for pattern in ("x+", "x-")]
     assert sum(halves) == 1.0
@@ -170,7 +170,7 @@ def test_cameras_that_are_missing_unknown_or_mute_are_all_reported_before_a_ligh
 
 BAD = {
     "pattern": (["--sequence", "full,z*"], ["pattern 'z*'", "an unknown name", "olat-NNN"]),
-    "olat": (["--sequence", "olat-999"], ["olat-999", "no light of this id"]),
+    "olat": (["--sequence", "olat-999"], ["olat-999", "no lamp of this id"]),
     "twice": (["--sequence", "full,full"], ["pattern 'full'", "twice"]),
     "nothing": (["--sequence", ","], ["no pattern"]),
     "subject": (["--subject", "a@b.org"], ["--subject", "a@b.org", "pseudonym"]),
@@ -219,7 +219,7 @@ def test_a_sequence_that_flashes_too_fast_or_burns_too_long_is_refused(stage, tm
     config = tmp_path / "config.toml"
     config.write_text("[safety]\nlight_interval_s = 0.1\nmax_light_on_s = 60\n")
     done = run_here(stage, tmp_path / "S", "--config", str(config))
-    one_clear_message(done, "up to 4 flashes per second", "at most 3", "lights over the budget")
+    one_clear_message(done, "up to 4 flashes per second", "at most 3", "lamps over the budget")
     assert stage.device.kinds == []
 
 
@@ -259,7 +259,7 @@ def test_a_limit_above_three_flashes_is_warned_of_at_the_start_in_the_facts_and_
 def test_another_stages_rig_is_refused_before_a_light_goes_on(stage, tmp_path):
     save_rig(type(stage.rig)(stage.rig.lights[:-1], stage.rig.cameras), stage.rig_path)
     done = run(stage, tmp_path / "S")
-    one_clear_message(done, "light count", "found 8", "expected 7")
+    one_clear_message(done, "lamp count", "found 8", "expected 7")
     assert not (tmp_path / "S").exists()
 
 

@@ -150,7 +150,7 @@ def test_a_subject_that_the_labs_table_lacks_lights_nothing(stage, tmp_path, tab
     assert not out.exists()
     assert stage.device.dark
     done = run(stage, out, "--subject", "anybody", *more)
-    one_clear_message(done, "look for a typing error.")
+    one_clear_message(done, "check for a typing error.")
     done = run(stage, out, "--subject", "subject-12", *more)
     assert done.returncode == 0, done.stderr
     assert str(tmp_path) not in (out / "manifest.json").read_text()

@@ -13,7 +13,7 @@ def bright(camera, pattern="x+", suspects=("full",)):
 def tries(suspects, findings, count):
     taken = []
     for _ in range(count):
-        taken.append(suspects.again("x+", findings))
+        taken.append(suspects.retakes_for("x+", findings))
         suspects.count("x+", findings)
     return taken
 

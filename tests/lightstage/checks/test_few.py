@@ -66,7 +66,7 @@ def test_a_neighbour_that_shines_instead_is_found(coded):
     levels = coded[1]
     found = findings(coded, "olat-040", levels["olat-041"], last="olat-040")
     assert {(f.code, f.pattern, f.camera) for f in found} == {("wrong-light", "olat-040", None)}
-    assert "light 41" in found[0].found
+    assert "lamp 41" in found[0].found
 
 
 def test_a_dead_light_is_found_under_its_own_pattern(coded):

@@ -143,8 +143,8 @@ def test_values_are_a_channels_share_of_each_of_its_emitters(lights, rgb, white,
 
 def test_a_channel_that_the_stage_does_not_have_is_refused_with_what_it_has():
     text = (
-        r"lights=white: found a rig with a light at channel 168, expected channels 0 to 167: the "
-        r"stage has 12 arcs of 14 lights"
+        r"lights=white: found a rig with a lamp at channel 168, expected channels 0 to 167: the "
+        r"stage has 12 arcs of 14 lamps"
     )
     with pytest.raises(ConfigError, match=text):
         IclLights(GRID, 169, IclOptions())

@@ -82,18 +82,18 @@ def test_ten_thousand_lights_shine_as_driven(kind):
 
 
 def test_ten_thousand_lights_on_a_slow_line_are_refused_before_it_is_opened():
-    with pytest.raises(ConfigError, match=r"timeout_s: found 2 for 10000 lights.*1\.7 s at 115200"):
+    with pytest.raises(ConfigError, match=r"timeout_s: found 2 for 10000 lamps.*1\.7 s at 115200"):
         open_leds("serial:///dev/none?baud=115200", 10_000)
 
 
 @pytest.mark.parametrize("url", ["pty:///dev/none", "socket://h:1", "adalight:///dev/none"])
 def test_more_lights_than_a_wire_can_count_are_refused_before_it_is_opened(url):
-    with pytest.raises(ConfigError, match="found 65536 lights in the rig, expected at most 65535"):
+    with pytest.raises(ConfigError, match="found 65536 lamps in the rig, expected at most 65535"):
         open_leds(url, 65536)
 
 
 def test_more_lights_than_universes_are_refused():
-    with pytest.raises(ConfigError, match="universe: found 65535 lights up to universe 66037"):
+    with pytest.raises(ConfigError, match="universe: found 65535 lamps up to universe 66037"):
         open_leds("sacn://127.0.0.1?universe=63990&channels=16", 65535)
 
 

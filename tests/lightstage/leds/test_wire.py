@@ -105,7 +105,7 @@ def test_hello_and_refused_payloads_are_read():
     for payload in (b"", b"12345", struct.pack("<IH", 9, 168) + b"\xff"):
         with pytest.raises(wire.WireError):
             wire.parse_hello(payload)
-    assert wire.parse_refused(b"\x02167 lights") == "wrong light count: 167 lights"
+    assert wire.parse_refused(b"\x02167 lights") == "wrong lamp count: 167 lights"
     assert wire.parse_refused(b"") == "0"
 
 

@@ -182,7 +182,7 @@ def test_a_refusal_is_reported_with_its_reason():
     turns = ((set_(6, 1, 2), packet(0x2F, 6, b"\x02I have 3")),)
     with (
         talking(*turns) as leds,
-        pytest.raises(DeviceError, match=r"refused \(wrong light count: I have 3\)"),
+        pytest.raises(DeviceError, match=r"refused \(wrong lamp count: I have 3\)"),
     ):
         leds.light(np.array([1, 2]) / 65535)
 
@@ -263,7 +263,7 @@ def test_another_device_after_a_recovery_is_refused():
     with talking(*turns) as leds:
         with pytest.raises(LightLostError):
             leds.light(np.array([1, 2, 3]) / 65535)
-        with pytest.raises(DeviceError, match="light count: found 9, expected 3, as before"):
+        with pytest.raises(DeviceError, match="lamp count: found 9, expected 3, as before"):
             leds.recover()
 
 

@@ -25,7 +25,7 @@ def test_a_whole_capture_is_complete_in_the_end(replay):
     assert view.kept == view.wanted == 63
     assert view.left_s() == 0
     assert view.takes["y+", "cam4"] == 2
-    assert view.lights == "168 lights, firmware stage 1.4, boot 4711"
+    assert view.lights == "168 lamps, firmware stage 1.4, boot 4711"
     assert view.acknowledged is True
     assert [camera.serial for camera in view.cameras.values()][:2] == ["6012305", "6012315"]
     assert not [words for words in view.news if words.tone == "problem"]  # it was mended

@@ -52,7 +52,7 @@ def test_a_sequence_is_told_pattern_by_pattern_with_the_evenness_of_full():
     assert [line.split()[:2] for line in lines[1:8]] == [
         ["full", "168"], *([f"{a}{s}", "84"] for a in "xyz" for s in "+-"),
     ]  # fmt: skip
-    assert lines[-1].startswith("7 patterns on 168 lights driven by solid angle")
+    assert lines[-1].startswith("7 patterns on 168 lamps driven by solid angle")
     assert "uneven by 0.50 %" in lines[-1]
     assert "uneven by 14.10 %" in run("binary", "--drive", "on-off")[-1]
 
@@ -62,7 +62,7 @@ def test_lights_on_a_splitting_plane_are_reported(octahedron):
     assert facts["on_plane"] == {"x": [1, 2, 4, 5], "y": [0, 2, 3, 5], "z": [0, 1, 3, 4]}
     assert [row["on_plane"] for row in facts["patterns"]] == [4, 4, 6, 0]
     printed = [line for line in run("x+", "--rig", octahedron) if line.startswith("On the plane")]
-    assert printed[0] == "On the plane x = 0, half in each of a pair: 4 lights (1, 2, 4, 5)"
+    assert printed[0] == "On the plane x = 0, half in each of a pair: 4 lamps (1, 2, 4, 5)"
     half = json.loads(run("x+@parallel", "--rig", octahedron, "--json")[-1])["patterns"][0]
     assert half["on_plane"] == 2  # lights 2 and 4 are of the vertical bank
 
@@ -89,7 +89,7 @@ def test_ones_own_patterns_are_listed_and_drawn(tmp_path):
     assert (tmp_path / "o.png").is_file()
     lines = run("full,rim@cross", "--patterns", own)
     assert lines[2].split()[:2] == ["rim@cross", "7"]
-    assert "rim, your own, by lights: 14 of 168 lights" in lines
+    assert "rim, your own, by lights: 14 of 168 lamps" in lines
     assert not any(line.startswith("sky") for line in lines)
 
 

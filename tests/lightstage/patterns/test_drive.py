@@ -113,5 +113,5 @@ def test_ones_own_pattern_can_be_polarised():
 def test_an_unknown_name_is_reported_with_ones_own():
     with pytest.raises(PatternError, match="of your own: mine"):
         drive_levels("yours", default_rig(), own=own_of(np.ones(168), False))
-    with pytest.raises(PatternError, match="olat-900: found no light of this id"):
+    with pytest.raises(PatternError, match="olat-900: found no lamp of this id"):
         drive_levels("olat-900", default_rig())

@@ -102,7 +102,7 @@ def test_an_unknown_pattern_is_refused_and_the_known_ones_listed(name):
 
 
 def test_a_light_that_the_rig_lacks_is_refused():
-    with pytest.raises(PatternError, match="olat-168: found no light of this id"):
+    with pytest.raises(PatternError, match="olat-168: found no lamp of this id"):
         pattern_levels("olat-168", default_rig())
 
 

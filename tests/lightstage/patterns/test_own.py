@@ -32,7 +32,7 @@ def test_levels_are_taken_as_they_stand(tmp_path):
     mine = one(tmp_path, f"levels = {ramp}")
     assert mine.levels.tolist() == ramp
     assert not mine.is_field
-    assert mine.summary == "167 of 168 lights"
+    assert mine.summary == "167 of 168 lamps"
 
 
 def test_lights_are_chosen_by_id_and_by_name(tmp_path):
@@ -88,7 +88,7 @@ def test_lights_too_faint_for_the_wire_are_reported(tmp_path):
         (f"levels = {[0.5] * 167} ".replace("]", ", nan]"), r"levels\[167\]: found nan"),
         ("lights = [168]", "lights: found 168, expected ids of the rig"),
         ('lights = ["3"]', r"lights\[0\]: found '3', expected int"),
-        ('names = ["ring*"]', "names: found no light named 'ring.'"),
+        ('names = ["ring*"]', "names: found no lamp named 'ring.'"),
         ("lights = [1]\nlevel = -0.1", "level: found -0.1, expected 0..1"),
         ("lights = [1]\ncap_deg = 3.0", "cap_deg: found it beside lights"),
         ("lights = [1]\ndirection = [1,0,0]", "found lights and direction"),
@@ -100,7 +100,7 @@ def test_lights_too_faint_for_the_wire_are_reported(tmp_path):
         ("direction = [1, 0]\ncap_deg = 3.0", "direction: found 2 values, expected 3 numbers"),
         ("direction = [1, 0, 0]", "found no shape, expected cap_deg or cosine"),
         ("direction = [1, 0, 0]\ncap_deg = 3.0\ncosine = 1.0", "found both"),
-        ("direction = [0, 1, 0]\ncap_deg = 1.0", "found no light there"),
+        ("direction = [0, 1, 0]\ncap_deg = 1.0", "found no lamp there"),
         ("direction = [0, 1, 0]\ncap_deg = 181", "cap_deg: found 181"),
         ("direction = [0, 1, 0]\ncosine = -1.0", "cosine: found -1.0, expected above 0"),
         ("direction = [0, 1, 0]\ncosine = nan", "cosine: found nan"),
@@ -111,7 +111,7 @@ def test_lights_too_faint_for_the_wire_are_reported(tmp_path):
         ),
         ('environment = "none.exr"\nrotate_deg = inf', "rotate_deg: found inf"),
         ('environment = "sky.jpg"', "sky.jpg: found .jpg, expected .exr, .hdr or .json"),
-        ("lights = []", "lights: found no light"),
+        ("lights = []", "lights: found no lamp"),
         ("level = 1" + "0" * 400, "level: found a number too large"),
         (f"levels = [1{'0' * 400}]", r"levels\[0\]: found a number too large"),
         ('environment = "' + "a" * 300 + '.exr"', "environment: found"),

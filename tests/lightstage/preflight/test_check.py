@@ -52,7 +52,7 @@ def test_lights_cameras_and_disk_are_reported_in_one_message(tmp_path, small_rig
     with pytest.raises(DeviceError) as caught:
         require(found)
     message = str(caught.value)
-    for part in ("light count", "pulses of 400 Hz", "iso", "battery", "owner", "card", "bytes"):
+    for part in ("lamp count", "pulses of 400 Hz", "iso", "battery", "owner", "card", "bytes"):
         assert part in message, part
     assert "Ann" not in message
     assert "unacknowledged" not in message

@@ -183,7 +183,7 @@ def test_what_the_plan_could_not_know_is_refused_when_it_would_pass_a_limit(
         monkeypatch.setattr(safe_lights.time, "monotonic", lambda: now[0])
         lights.light(FULL)
         now[0] += 6.0
-        with pytest.raises(DeviceError, match=r"budget: found light 0 \(corner0\) on for 6 s"):
+        with pytest.raises(DeviceError, match=r"budget: found lamp 0 \(corner0\) on for 6 s"):
             lights.light(FULL)
         # Half as bright is half as long and half as warm.
         lights.light(FULL / 2)

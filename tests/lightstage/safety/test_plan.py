@@ -54,17 +54,17 @@ def test_all_limits_are_reported_at_once(small_rig):
         check_shots(shots, small_rig, config, shot_worst_s=6.0)
     message = str(caught.value)
     assert "up to 4 flashes per second, expected at most 3" in message
-    assert "duty: found 8 lights over the budget" in message
+    assert "duty: found 8 lamps over the budget" in message
     assert "up to 24 s at full level, expected at most 10 s" in message
     warm = 1 - np.exp(-24 / 300)
-    assert f"heat: found 8 lights over the budget, light 0 (corner0) up to {warm:.2f}" in message
+    assert f"heat: found 8 lamps over the budget, lamp 0 (corner0) up to {warm:.2f}" in message
 
 
 def test_a_long_deadline_alone_can_break_the_warmth(small_rig):
     shots = plan_shots(["full"], small_rig, "on-off")
     patient = SafetyConfig(max_light_on_s=1000.0)
     check_shots(shots, small_rig, patient, shot_worst_s=690.0)
-    with pytest.raises(ConfigError, match="sequence, heat: found 8 lights"):
+    with pytest.raises(ConfigError, match="sequence, heat: found 8 lamps"):
         check_shots(shots, small_rig, patient, shot_worst_s=691.0)
 
 

@@ -49,6 +49,6 @@ def test_a_device_of_another_count_of_lights_is_reported(tmp_path, tools):
         fewer = dataclasses.replace(rig, lights=rig.lights[:-1])
         save_rig(fewer, bench.stage.rig_path)
         message = tools.message(bench.run(sequence="full"), "DeviceError")
-        assert "LED device, light count: found 10000, expected 9999 (rig.json)" in message
+        assert "LED device, lamp count: found 10000, expected 9999 (rig.json)" in message
         assert "Is this the rig file of this stage?" in message
         assert not bench.out.exists()

@@ -55,7 +55,7 @@ def test_an_operator_who_answers_what_shines_finds_every_address():
     lines: list[str] = []
 
     def ask(_: str) -> str:
-        meant = int(re.findall(r"^Light (\d+)", lines[-1])[0])
+        meant = int(re.findall(r"^Lamp (\d+)", lines[-1])[0])
         (shining,) = lamps.shining
         if shining == meant:
             right.add(meant)
@@ -74,14 +74,14 @@ def test_an_operator_who_answers_what_shines_finds_every_address():
         assert sorted(address.channel for address in each.addresses) == list(range(8))
     assert max(map(len, lamps.states)) == 1
     assert lines[0] == (
-        "Light 0 (corner0), 1 of 8: 135 degrees to the left (behind the person), 35 degrees down; "
+        "Lamp 0 (corner0), 1 of 8: 135 degrees to the left (behind the person), 35 degrees down; "
         "channel 0 of main"
     )
 
 
 def told_lights(told):
-    """Keeps the lines that tell a light."""
-    return lambda line: told.append(line) if re.match(r"Light \d+ \(\w+\), ", line) else None
+    """Keeps the lines that name a lamp."""
+    return lambda line: told.append(line) if re.match(r"Lamp \d+ \(\w+\), ", line) else None
 
 
 def test_a_channel_of_the_device_that_no_light_has_can_be_given():
@@ -94,7 +94,7 @@ def test_a_channel_of_the_device_that_no_light_has_can_be_given():
             lambda _: None, QUICK, 1.0,
         )  # fmt: skip
     assert [address.channel for address in found.addresses] == wires.tolist()
-    # Light 2's wire was free: its channel of before lights nothing.
+    # Lamp 2's wire was free: its channel of before lights nothing.
     assert [state for state in lamps.states if state] == [[0], [2]]
     assert "No channel 99: there are 12, counted from 0." in stated
 
@@ -171,8 +171,8 @@ def test_lines_from_a_pipe_correct_the_rig(tmp_path):
     assert [a.channel for a in load_rig(tmp_path / "new.json").addresses][:3] == [1, 0, 2]
     facts = json.loads(done.stdout.splitlines()[-1])
     assert facts["corrected"] == [
-        "light 0 (corner0): channel 0 -> 1",
-        "light 1 (corner1): channel 1 -> 0",
+        "lamp 0 (corner0): channel 0 -> 1",
+        "lamp 1 (corner1): channel 1 -> 0",
     ]
     assert lamps.states[-2:] == [[0], []]
 
@@ -235,7 +235,7 @@ def test_on_two_controllers_a_light_gets_the_wire_that_lights_it():
     right: set[int] = set()
 
     def ask(_: str) -> str:
-        meant = int(re.findall(r"^Light (\d+)", lines[-1])[0])
+        meant = int(re.findall(r"^Lamp (\d+)", lines[-1])[0])
         if shining() != meant:
             return f"s {shining()}"
         right.add(meant)
@@ -247,7 +247,7 @@ def test_on_two_controllers_a_light_gets_the_wire_that_lights_it():
         assert left.dark
         assert other.dark
     assert list(found.addresses) == wires
-    assert corrections(rig, found)[0] == ("light 0 (corner0): channel 0 of left -> 0 of right")
+    assert corrections(rig, found)[0] == ("lamp 0 (corner0): channel 0 of left -> 0 of right")
 
 
 @pytest.mark.parametrize(

@@ -80,4 +80,4 @@ def test_a_target_too_small_in_the_pictures_is_one_error_and_what_to_do(tmp_path
     assert done.stderr.count("Error: ") == 1
     assert "To resume" not in done.stderr
     assert "at a larger --scale if the target is too small" in done.stderr
-    assert "pose 1 did not do in 6 takes" in done.stderr
+    assert "pose 1 was not usable in 6 takes" in done.stderr

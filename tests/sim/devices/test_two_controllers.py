@@ -184,7 +184,7 @@ def test_the_check_of_devices_opens_all_controllers(tmp_path) -> None:
         done = subprocess.run(
             [sys.executable, "-m", "lightstage", *words], capture_output=True, text=True
         )
-        assert "10 lights answer" in done.stdout, done.stderr
+        assert "10 lamps answer" in done.stdout, done.stderr
         assert stage.device.dark
 
 
