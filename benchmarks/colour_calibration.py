@@ -14,7 +14,8 @@ import numpy as np
 from benchmarks.record import record
 from lightstage.commands import quiet
 from lightstage.rig import default_rig
-from processing.calibration.colour.fit import ChartSample, ColourFitConfig, fit_colour
+from processing.calibration.colour.config import ColourFitConfig
+from processing.calibration.colour.fit import ChartSample, fit_colour
 from processing.calibration.config import CalibrateConfig
 from processing.calibration.folder import read_source
 from processing.calibration.stage import calibrate

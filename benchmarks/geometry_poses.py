@@ -25,7 +25,8 @@ from benchmarks.reflectance_people import NOISE, SCALE, folder
 from lightstage.formats.board import BoardConfig
 from lightstage.rig import Camera, Rig, default_rig
 from processing.calibration.cameras.boards import Sight, find_board
-from processing.calibration.cameras.measured import CamerasConfig, MeasuredCameras, measure_cameras
+from processing.calibration.cameras.config import CamerasConfig
+from processing.calibration.cameras.measured import MeasuredCameras, measure_cameras
 from sim.light.lamps import lamps_of
 from sim.targets.boards import BoardConfig as PrintedBoard
 from sim.targets.boards import board_poses

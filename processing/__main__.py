@@ -305,8 +305,9 @@ def evaluate(
     as_json: bool = JsonFlag,
 ) -> None:
     """Every error there is against a simulated session's truth."""
-    from processing.evaluation.folder import AlbedoOf, EvaluateConfig, headline
+    from processing.evaluation.config import AlbedoOf, EvaluateConfig
     from processing.evaluation.folder import evaluate as evaluate_folder
+    from processing.evaluation.folder import headline
 
     if albedo not in list(AlbedoOf):
         raise ProcessingError(

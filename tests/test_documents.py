@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 import json
 import re
@@ -136,6 +137,18 @@ def test_the_table_of_what_learning_may_import_is_its_contract() -> None:
         stated |= {(source, f"processing.{m}") for m in re.findall("`([^`]+)`", modules)}
     shortened = {(a.removesuffix(".**").removesuffix(".uv"), b) for a, b in allowed}
     assert stated == shortened
+
+
+def test_every_configuration_of_processing_is_in_a_config_file_under_its_own_name() -> None:
+    found = [
+        (node.name, path.name)
+        for path in (ROOT / "processing").rglob("*.py")
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.ClassDef) and node.name.endswith("Config")
+    ]
+    assert len(found) > 20
+    assert {file for _, file in found} == {"config.py", "pipeline_config.py"}
+    assert len({name for name, _ in found}) == len(found)
 
 
 def test_every_command_of_the_readmes_steps_begins_with_a_programs_name() -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 
-from processing.calibration.colour.all_cameras import ChartConfig
-from processing.calibration.colour.fit import ColourFitConfig
-from processing.calibration.colour.flats import FlatConfig
-from processing.calibration.colour.grey import GreyConfig
-from processing.calibration.lights.fit import LightsConfig
+from processing.calibration.colour.config import (
+    ChartConfig,
+    ColourFitConfig,
+    FlatConfig,
+    GreyAlbedoConfig,
+)
+from processing.calibration.lights.config import LightsConfig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +23,7 @@ class CalibrateConfig:
     """How colour corrections are fitted."""
     flat: FlatConfig = dataclasses.field(default_factory=FlatConfig)
     """How flats and darks are read."""
-    grey: GreyConfig = dataclasses.field(default_factory=GreyConfig)
+    grey: GreyAlbedoConfig = dataclasses.field(default_factory=GreyAlbedoConfig)
     """The grey ball of known reflectance."""
     lights: LightsConfig = dataclasses.field(default_factory=LightsConfig)
     """How lamps are measured."""

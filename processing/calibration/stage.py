@@ -20,8 +20,9 @@ from processing.calibration.colour.all_cameras import (
     see_charts,
 )
 from processing.calibration.colour.chart_reference import chart_reflectance
-from processing.calibration.colour.fit import ColourFit, ColourFitConfig
-from processing.calibration.colour.flats import FlatConfig, fit_flat, read_darks
+from processing.calibration.colour.config import ColourFitConfig, FlatConfig
+from processing.calibration.colour.fit import ColourFit
+from processing.calibration.colour.flats import fit_flat, read_darks
 from processing.calibration.colour.white import white_at
 from processing.calibration.config import CalibrateConfig
 from processing.calibration.folder import Pose, Source

@@ -2,8 +2,9 @@
 
 from processing.dataset.about import About, Answers, read_about
 from processing.dataset.changes import add_scan, build_store, remove_scans, verify_store
+from processing.dataset.config import PublishConfig
 from processing.dataset.protection import narrow_gap
-from processing.dataset.publish import PublishConfig, publish
+from processing.dataset.publish import publish
 from processing.dataset.scan import (
     CHANNELS,
     DatasetError,

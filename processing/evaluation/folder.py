@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import enum
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path, load_template
 from processing.closest import ClosestPoints
 from processing.errors import EvaluationError
+from processing.evaluation.config import AlbedoOf, EvaluateConfig
 from processing.evaluation.maps import DIFFUSE, MapReader, map_errors, samples_of
 from processing.evaluation.meshes import base_mesh_errors, registration_errors, true_skin_points
 from processing.evaluation.texels import atlas_coverage, evaluate_maps, truth_in_atlas
@@ -28,30 +27,6 @@ from processing.reconstruction.pictures import write_distance
 from processing.records import EVALUATION
 
 SCHEMA = "lightstage.evaluation/1"
-
-
-class AlbedoOf(enum.StrEnum):
-    """What a diffuse albedo is a share of."""
-
-    ENTERED = "entered"
-    """Of the light that entered the skin: ours."""
-    INCIDENT = "incident"
-    """Of the light that fell on it: that of renderers whose diffuse layer has no interface."""
-
-
-@dataclasses.dataclass(frozen=True)
-class EvaluateConfig:
-    """Settings of the evaluation.
-
-    Attributes:
-        complete_within_mm: a true surface point this near to the mesh counts as reconstructed.
-        surface_points: at most so many of the pixels of true skin measure a mesh.
-        albedo: what the truth's diffuse albedo is a share of, see `AlbedoOf`.
-    """
-
-    complete_within_mm: float = 0.5
-    surface_points: int = 200_000
-    albedo: AlbedoOf = AlbedoOf.ENTERED
 
 
 def evaluate(

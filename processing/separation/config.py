@@ -6,7 +6,6 @@ import dataclasses
 from typing import Literal
 
 from processing.lighting.lobe import SKIN_F0
-from processing.separation.lobe_fit import LobeFitConfig
 
 Relief = Literal["mirror", "detail", "diffuse"]
 """What specular normals are: from mirror directions, their relief on the diffuse normals, or the
@@ -49,6 +48,40 @@ class MuxConfig:
     """Sigma over which pixels share one specular albedo."""
     specular_prior_share: float = 0.3
     """Weight of the prior against the median pixel's evidence."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MirrorConfig:
+    """Specular normals from mirror directions."""
+
+    spread_deg: float = 1.0
+    """How far specular normals stand from diffuse ones, before anything is read."""
+    rounds: int = 6
+    """Steps of Gauss-Newton."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LobeFitConfig:
+    """Gloss and specular normals from readings whose diffuse normals are known."""
+
+    roughness: tuple[float, ...] = (0.18, 0.22, 0.26, 0.30, 0.34)
+    """Beckmann's m that are tried, ascending, at least three."""
+    roughness_pool_mm: float = 6.0
+    """Sigma over which pixels share one lobe width."""
+    specular_pool_mm: float = 1.0
+    """Sigma over which pixels share one specular albedo."""
+    specular_prior: float = SKIN_F0
+    """Specular albedo that pixels without evidence have."""
+    specular_prior_share: float = 0.02
+    """Weight of the prior against the median pixel's evidence."""
+    albedo_prior_power: float = 0.005
+    """Weight of the neighbours' albedo against a pixel's squared irradiance (2 in the open)."""
+    model_error: float = 0.02
+    """What the diffuse part is wrong by, as a share of it."""
+    detail_mm: float = 2.0
+    """Relief finer than this sigma is detail."""
+    mirror: MirrorConfig = dataclasses.field(default_factory=MirrorConfig)
+    """How specular normals are found from mirror directions."""
 
 
 @dataclasses.dataclass(frozen=True)

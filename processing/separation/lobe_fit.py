@@ -6,7 +6,6 @@ pooled over neighbours; what the diffuse part leaves then shows which way the fa
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -20,39 +19,16 @@ from processing.albedo import (
 )
 from processing.lighting.interface import BARE, skin_interface
 from processing.lighting.lights import PatternLights, no_shadows
-from processing.lighting.lobe import SKIN_F0, transport
+from processing.lighting.lobe import transport
 from processing.normals import blurred
+from processing.separation.config import LobeFitConfig
 from processing.separation.lobe_table import lobe_table, table_lobe
-from processing.separation.mirror import MirrorConfig, mirror_normals
+from processing.separation.mirror import mirror_normals
 from processing.separation.view_readings import Pixels
 from processing.view_maps import PixelMaps
 
 MOST_SPECULAR = 0.2
 """Reflectances above are metals, not faces."""
-
-
-@dataclasses.dataclass(frozen=True)
-class LobeFitConfig:
-    """Gloss and specular normals from readings whose diffuse normals are known."""
-
-    roughness: tuple[float, ...] = (0.18, 0.22, 0.26, 0.30, 0.34)
-    """Beckmann's m that are tried, ascending, at least three."""
-    roughness_pool_mm: float = 6.0
-    """Sigma over which pixels share one lobe width."""
-    specular_pool_mm: float = 1.0
-    """Sigma over which pixels share one specular albedo."""
-    specular_prior: float = SKIN_F0
-    """Specular albedo that pixels without evidence have."""
-    specular_prior_share: float = 0.02
-    """Weight of the prior against the median pixel's evidence."""
-    albedo_prior_power: float = 0.005
-    """Weight of the neighbours' albedo against a pixel's squared irradiance (2 in the open)."""
-    model_error: float = 0.02
-    """What the diffuse part is wrong by, as a share of it."""
-    detail_mm: float = 2.0
-    """Relief finer than this sigma is detail."""
-    mirror: MirrorConfig = dataclasses.field(default_factory=MirrorConfig)
-    """How specular normals are found from mirror directions."""
 
 
 def maps_by_lobe(

@@ -16,22 +16,13 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from processing.separation.config import MirrorConfig
 from processing.separation.lobe_table import LobeTable, lobe_at, width_place
 
 TURN = 0.02
 """Tangent of the turns by which derivatives are taken: a grid cell of the table, about."""
 LONGEST_TURN = 0.15
 """A step turns the normal by at most this tangent; the lobe is some 20 degrees wide."""
-
-
-@dataclasses.dataclass(frozen=True)
-class MirrorConfig:
-    """Specular normals from mirror directions."""
-
-    spread_deg: float = 1.0
-    """How far specular normals stand from diffuse ones, before anything is read."""
-    rounds: int = 6
-    """Steps of Gauss-Newton."""
 
 
 @dataclasses.dataclass(frozen=True)

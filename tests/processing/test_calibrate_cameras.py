@@ -16,8 +16,9 @@ from lightstage.formats.files import read_json
 from lightstage.rig import Rig, default_rig, load_rig
 from processing.__main__ import app
 from processing.calibration.cameras.boards import find_board
+from processing.calibration.cameras.config import CamerasConfig
 from processing.calibration.cameras.fit import adjust, residuals
-from processing.calibration.cameras.measured import CamerasConfig, MeasuredCameras, measure_cameras
+from processing.calibration.cameras.measured import MeasuredCameras, measure_cameras
 from processing.calibration.cameras.output import CamerasFile, camera_settings, make_cameras
 from processing.calibration.folder import Source
 from processing.errors import PoseError, ProcessingError

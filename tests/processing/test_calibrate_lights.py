@@ -18,10 +18,10 @@ from lightstage.patterns import SEQUENCES, pattern_levels
 from lightstage.patterns.names import BINARY, LINEAR
 from lightstage.rig import Camera, Rig, default_rig
 from processing.calibration.ball import Picture, ball_shots, find_ball, rays_through
-from processing.calibration.lights.fit import LightsConfig, fit_lights, normal_errors
+from processing.calibration.lights.config import GreyBallConfig, LightsConfig, MirrorBallConfig
+from processing.calibration.lights.fit import fit_lights, normal_errors
 from processing.calibration.lights.flux import Flux, intensities
 from processing.calibration.lights.grey_ball import (
-    GreyConfig,
     Readings,
     expected_gains,
     lamp_readings,
@@ -29,7 +29,7 @@ from processing.calibration.lights.grey_ball import (
     solve_gains,
 )
 from processing.calibration.lights.highlights import expected_px, find_highlights, mirrored
-from processing.calibration.lights.mirror_ball import MirrorConfig, solve_lamps
+from processing.calibration.lights.mirror_ball import solve_lamps
 from processing.errors import ProcessingError
 from processing.lighting.lamps import nominal_lamps
 from sim.devices.target_photographer import TargetPhotographer
@@ -41,7 +41,7 @@ PATTERNS = ("full", *BINARY)
 RIG = default_rig()
 COUNT = len(RIG.lights)
 UNKNOWN = np.full((COUNT, 3), np.nan), np.full(COUNT, np.inf)
-FEW = LightsConfig(grey=GreyConfig(places=150))
+FEW = LightsConfig(grey=GreyBallConfig(places=150))
 
 
 def apart_mm(found: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -71,7 +71,7 @@ def test_lamps_are_found_where_the_simulators_highlights_put_them() -> None:
     true = displaced(rig, 8.0)
     balls = [Ball(np.array(p), 38.0, 0.6) for p in ((-100.0, 3.0, 0.0), (90.0, -30.0, 20.0))]
     seen = [s for k, b in enumerate(balls) for s in sightings(rig, true.positions_mm, b, k, 0.1)]
-    placed = solve_lamps(seen, rig.positions_mm, MirrorConfig(), "here")
+    placed = solve_lamps(seen, rig.positions_mm, MirrorBallConfig(), "here")
     across, along = apart_mm(placed.position_mm, true.positions_mm)
     assert np.sqrt(np.mean(across**2)) < 0.6
     assert np.sqrt(np.mean(along**2)) < 4.0
@@ -94,7 +94,7 @@ def test_highlights_of_no_lamp_do_not_move_the_lamps() -> None:
             seen.append(
                 dataclasses.replace(each, found=dataclasses.replace(each.found, place_px=px))
             )
-    placed = solve_lamps(seen, rig.positions_mm, MirrorConfig(), "here")
+    placed = solve_lamps(seen, rig.positions_mm, MirrorBallConfig(), "here")
     across, _ = apart_mm(placed.position_mm, true.positions_mm)
     assert np.quantile(across, 0.95) < 1.5
 
@@ -104,9 +104,9 @@ def test_a_ball_of_another_size_and_an_empty_stage_are_reported() -> None:
     ball = Ball(np.zeros(3), 50.0, 0.6)
     seen = sightings(rig, rig.positions_mm, ball, 0, 0.02)
     with pytest.raises(ProcessingError, match=r"radius|highlights? at the rig"):
-        solve_lamps(seen, rig.positions_mm, MirrorConfig(radius_sigma_mm=20.0), "here")
+        solve_lamps(seen, rig.positions_mm, MirrorBallConfig(radius_sigma_mm=20.0), "here")
     with pytest.raises(ProcessingError, match="0 highlights in 0 cameras"):
-        solve_lamps([_without(s) for s in seen], rig.positions_mm, MirrorConfig(), "here")
+        solve_lamps([_without(s) for s in seen], rig.positions_mm, MirrorBallConfig(), "here")
 
 
 def _without(seen):  # type: ignore[no-untyped-def]
@@ -201,7 +201,7 @@ def test_the_error_of_an_intensity_is_reported_where_few_lamps_are_seen_twice(no
 
 
 def test_highlights_that_err_much_say_nothing_of_how_unlike_lamps_are() -> None:
-    config = GreyConfig()
+    config = GreyBallConfig()
     log = 0.6 * np.random.default_rng(5).normal(size=(168, 3))
     _, prior = expected_gains(log, np.full(168, 0.6), config)
     assert prior.max() <= config.gain_sigma
@@ -230,7 +230,7 @@ def test_gains_make_the_light_of_each_pattern_right_though_lamps_cannot_be_disti
     rng = np.random.default_rng(3)
     gain = np.exp(0.1 * rng.normal(size=(COUNT, 3)))
     readings = readings_of(RIG, gain)
-    config = GreyConfig(gain_sigma=0.1, noise_share=1e-4)
+    config = GreyBallConfig(gain_sigma=0.1, noise_share=1e-4)
     found = solve_gains(readings, RIG.positions_mm, *UNKNOWN, config)
     assert found.before > 0.005
     assert found.after < 2e-4
@@ -242,17 +242,17 @@ def test_readings_that_no_lamps_explain_are_refused_without_an_overflow() -> Non
     readings = readings_of(RIG, np.ones((COUNT, 3)))
     rng = np.random.default_rng(11)
     noise = dataclasses.replace(readings, rgb=rng.lognormal(0, 4, readings.rgb.shape))
-    wide = GreyConfig(gain_sigma=3.0, noise_share=1e-4)
+    wide = GreyBallConfig(gain_sigma=3.0, noise_share=1e-4)
     with np.errstate(all="raise", under="ignore"), pytest.raises(ProcessingError, match="lamps"):
         solve_gains(noise, RIG.positions_mm, *UNKNOWN, wide)
     empty = dataclasses.replace(readings, rgb=np.full(readings.rgb.shape, np.nan))
     with pytest.raises(ProcessingError, match="readings that the rig's lamps explain"):
-        solve_gains(empty, RIG.positions_mm, *UNKNOWN, GreyConfig())
+        solve_gains(empty, RIG.positions_mm, *UNKNOWN, GreyBallConfig())
 
 
 def test_lamps_that_differ_several_times_are_found_from_equal_ones() -> None:
     gain = np.exp(0.5 * np.random.default_rng(12).normal(size=(COUNT, 3)))
-    config = GreyConfig(gain_sigma=0.5, noise_share=1e-4)
+    config = GreyBallConfig(gain_sigma=0.5, noise_share=1e-4)
     found = solve_gains(readings_of(RIG, gain), RIG.positions_mm, *UNKNOWN, config)
     assert found.before > 0.05
     assert found.after < 1e-5
@@ -264,7 +264,7 @@ def test_gains_known_from_highlights_are_kept_and_made_better() -> None:
     stated = np.log(gain) + 0.02 * rng.normal(size=gain.shape)
     readings = readings_of(RIG, gain)
     sigma = np.full(COUNT, 0.02)
-    found = solve_gains(readings, RIG.positions_mm, stated, sigma, GreyConfig(noise_share=1e-4))
+    found = solve_gains(readings, RIG.positions_mm, stated, sigma, GreyBallConfig(noise_share=1e-4))
     error = np.log(found.rgb / gain)
     assert np.std(error - error.mean(axis=0)) < 0.019
     assert found.after < 3e-4
@@ -286,7 +286,7 @@ def test_stray_light_of_a_pattern_is_found_as_it_was_put_in() -> None:
         RIG.positions_mm,
         np.zeros((COUNT, 3)),
         np.full(COUNT, 1e-4),
-        GreyConfig(highlight_sigma=1e-4, stray_share=0.1),
+        GreyBallConfig(highlight_sigma=1e-4, stray_share=0.1),
     )
     assert found.left < 0.4 * found.after
     back = np.einsum("ni,cij,nj->nc", n, found.stray["x+"][..., :3], n)

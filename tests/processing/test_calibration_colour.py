@@ -20,7 +20,8 @@ from processing.calibration.colour.chart_reference import (
     RGB_FROM_XYZ,
     chart_reflectance,
 )
-from processing.calibration.colour.fit import ChartSample, ColourFitConfig, fit_colour
+from processing.calibration.colour.config import ColourFitConfig
+from processing.calibration.colour.fit import ChartSample, fit_colour
 from processing.colour import root_terms
 from processing.colour_difference import colour_science, delta_e_2000, lab_from_linear
 from processing.errors import ProcessingError

@@ -18,7 +18,8 @@ from lightstage.formats.mesh import Mesh, read_ply, write_obj, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import Template, save_template
 from processing.closest import ClosestPoints, sample_texture, weighted_quantile
-from processing.evaluation.folder import AlbedoOf, EvaluateConfig, evaluate
+from processing.evaluation.config import AlbedoOf, EvaluateConfig
+from processing.evaluation.folder import evaluate
 from processing.evaluation.maps import angle_deg, map_errors, picture_errors, psnr_db
 from processing.evaluation.texels import evaluate_maps, truth_in_atlas
 from processing.reconstruction.pictures import write_pictures

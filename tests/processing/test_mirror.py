@@ -17,9 +17,10 @@ from processing.lighting.lights import PatternLights, cells_of, far_field, no_sh
 from processing.lighting.lobe import transport
 from processing.lighting.polarisers import diffuse_shares, mirror_lights, mirror_shares
 from processing.normals import solve_far_normals
+from processing.separation.config import MirrorConfig
 from processing.separation.lobe_fit import with_detail
 from processing.separation.lobe_table import lobe_table, table_lobe
-from processing.separation.mirror import MirrorConfig, mirror_normals
+from processing.separation.mirror import mirror_normals
 from processing.separation.trust import normal_trust
 from sim.light.polarised import PolariserConfig, facet_shares, lamp_axes, lens_axis
 from sim.light.polarised_factors import polarised_factors

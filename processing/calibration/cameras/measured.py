@@ -14,6 +14,7 @@ from lightstage.counting import counted
 from lightstage.formats.board import BoardConfig
 from lightstage.rig import Camera, Rig
 from processing.calibration.cameras.boards import Sight
+from processing.calibration.cameras.config import CamerasConfig
 from processing.calibration.cameras.fit import Adjusted, adjust
 from processing.calibration.cameras.held_out import HeldOut, enough, held_out
 from processing.calibration.cameras.start import first_poses
@@ -23,35 +24,6 @@ from processing.errors import PoseError
 MODELS = ("SIMPLE_RADIAL", "RADIAL", "OPENCV")
 WIDE_PX, NARROWEST_PX = 0.3, 0.005
 """Scale of the loss by which cameras that moved are found, and the least of the last adjustment."""
-
-
-@dataclasses.dataclass(frozen=True)
-class CamerasConfig:
-    """How cameras are measured.
-
-    Attributes:
-        model: of the lenses, COLMAP's name: SIMPLE_RADIAL (one focal length and k1; enough for long
-            lenses, whose principal point other terms blur), RADIAL (and k2), OPENCV (two focal
-            lengths, k1, k2, p1, p2).
-        max_residual_px: a camera whose corners are off by more (median) is refused, and so is one
-            of whose boards more than a quarter are (median each): others may hide that it moved.
-        outlier_px: corners farther off than this after a first adjustment are left out.
-        min_sights: boards that a camera must have seen.
-        moved_mm: a camera found farther than this from where rig.json has it is warned of.
-        turned_deg: likewise for a camera's direction.
-        unsure_mm: a camera whose place the boards leave less certain than this (standard deviation)
-            is warned of.
-        allow: ids of cameras that are kept whatever their residual.
-    """
-
-    model: str = "SIMPLE_RADIAL"
-    max_residual_px: float = 0.5
-    outlier_px: float = 2.0
-    min_sights: int = 3
-    moved_mm: float = 20.0
-    turned_deg: float = 3.0
-    unsure_mm: float = 0.2
-    allow: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

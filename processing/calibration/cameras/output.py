@@ -15,18 +15,11 @@ from lightstage.formats.config import make_config
 from lightstage.formats.files import atomic_folder, write_json
 from lightstage.rig import MEASURED_WITH, UNCHECKED, UNMEASURED, rig_sha256, save_rig
 from processing.calibration.cameras.boards import see_boards
-from processing.calibration.cameras.measured import CamerasConfig, MeasuredCameras, measure_cameras
+from processing.calibration.cameras.config import CamerasFile
+from processing.calibration.cameras.measured import MeasuredCameras, measure_cameras
 from processing.calibration.folder import Source
 from processing.errors import ProcessingError
 from processing.records import versions
-
-
-@dataclasses.dataclass(frozen=True)
-class CamerasFile:
-    """Settings of `calibrate-cameras`; a table of its TOML file each."""
-
-    board: BoardConfig = dataclasses.field(default_factory=BoardConfig)
-    cameras: CamerasConfig = dataclasses.field(default_factory=CamerasConfig)
 
 
 def camera_settings(source: Source, values: Mapping[str, Any], where: str | Path) -> CamerasFile:

@@ -14,29 +14,15 @@ from lightstage.formats.environment import LightSet
 from lightstage.rig import Camera
 from processing.calibration.ball import Picture, half
 from processing.calibration.colour.chart import ChartView, chart_places_mm, find_chart
-from processing.calibration.colour.fit import ChartSample, ColourFit, ColourFitConfig, fit_colour
-from processing.calibration.colour.grey import GreyConfig, ball_albedo
+from processing.calibration.colour.config import ChartConfig, ColourFitConfig, GreyAlbedoConfig
+from processing.calibration.colour.fit import ChartSample, ColourFit, fit_colour
+from processing.calibration.colour.grey import ball_albedo
 from processing.calibration.colour.white import white_at
 from processing.calibration.folder import Pose
 from processing.calibration.picture import Mosaic, read_mosaic
 from processing.colour import ColourCorrection
 from processing.errors import ProcessingError
 from processing.raw.flat_file import FlatField
-
-
-@dataclasses.dataclass(frozen=True)
-class ChartConfig:
-    """The chart."""
-
-    reference: str = "classic"
-    """``classic``, ``2014``, or a JSON file of a chart that was measured (chart_reference)."""
-    pitch_mm: float | None = None
-    """Between the middles of neighbouring patches; where absent the chart is taken to be held in
-    the stage's middle, which gives its size."""
-    max_tilt_deg: float = 40.0
-    """Charts that are turned farther from a camera are not read by it."""
-    clip_share: float = 0.99
-    """Counts of at least this share of the white level are clipped."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,7 +129,7 @@ def check_grey(
     corrections: dict[str, ColourCorrection],
     flats: dict[str, FlatField],
     lights: LightSet,
-    config: GreyConfig,
+    config: GreyAlbedoConfig,
 ) -> tuple[dict[str, ColourCorrection], dict[str, Any]]:
     """Compare what a grey ball reads with what it is; scale colours to it where that is wanted.
 

@@ -9,39 +9,17 @@ needs them, and a stage for faces gains nothing from a truer green.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from processing.calibration.colour.chart_reference import NEUTRAL, SKIN
+from processing.calibration.colour.config import ColourFitConfig
 from processing.colour import ColourCorrection, root_terms
 from processing.colour_difference import delta_e_2000, lab_from_linear
 from processing.errors import ProcessingError
 
 PATCHES = 24
-
-
-@dataclasses.dataclass(frozen=True)
-class ColourFitConfig:
-    """How a chart's patches are turned into a correction."""
-
-    use: Literal["auto", "matrix", "root_polynomial"] = "auto"
-    """`auto`: what reads patches better that it was not fitted to."""
-    neutral_weight: float = 2.0
-    """Factor on the weight of the six neutral patches, which give white and scale."""
-    skin_weight: float = 3.0
-    """Factor on the weight of the two patches of skin."""
-    dark_floor: float = 0.1
-    """Residuals count as shares of a patch's mean reflectance plus this."""
-    gain_of_root_polynomial: float = 0.1
-    """The root polynomial is used where its held-out Delta E is smaller than the matrix's by at
-    least this share, over all patches and over the two of skin."""
-    max_clipped_share: float = 0.001
-    """Patches with more pixels at the white level are left out."""
-    outlier_delta_e: float = 12.0
-    """A patch that is held out and wrong by more, and by four times the median, is left out."""
-    min_patches: int = 16
-    """Fewer usable patches of the chart's 24 are refused."""
 
 
 @dataclasses.dataclass(frozen=True)

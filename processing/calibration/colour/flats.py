@@ -9,35 +9,10 @@ import numpy as np
 
 from lightstage.counting import counted
 from lightstage.rig import Camera
+from processing.calibration.colour.config import FlatConfig
 from processing.calibration.picture import Mosaic
 from processing.errors import ProcessingError
 from processing.raw.flat_file import FlatField
-
-
-@dataclasses.dataclass(frozen=True)
-class FlatConfig:
-    """How flats and darks are read."""
-
-    per_pixel: bool = False
-    """Keep each pixel's own gain beside the smooth vignetting (dust, unlike pixels)."""
-    grid_px: int = 24
-    """The vignetting is fitted to means of squares of so many pixels."""
-    max_clipped_share: float = 0.001
-    """A flat with more pixels at the white level is refused."""
-    min_level: float = 0.02
-    """A flat whose mean is less than this share of white is refused."""
-    max_residual: float = 0.03
-    """Warned of where the squares depart more than this from the fit, RMS as a share."""
-    max_black_offset: float = 0.0003
-    """Darks farther from the file's black level are warned of, and corrected; share of white."""
-    max_dark_level: float = 0.01
-    """A dark brighter than this in the mean is refused: the lens cap was off."""
-    hot_level: float = 0.004
-    """A pixel above the black level by more than this share of white in every dark is hot."""
-    hot_sigmas: float = 8.0
-    """A hot pixel is also above it by more than this many standard deviations of the noise."""
-    max_hot_share: float = 0.001
-    """More hot pixels are refused: there was light."""
 
 
 def fit_flat(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -10,28 +9,13 @@ import numpy as np
 
 from lightstage.formats.environment import LightSet
 from processing.calibration.ball import Picture, find_ball, rays_through, sphere_hits
+from processing.calibration.colour.config import GreyAlbedoConfig
 from processing.calibration.colour.white import white_at
 from processing.errors import ProcessingError
 
 
-@dataclasses.dataclass(frozen=True)
-class GreyConfig:
-    """The grey ball."""
-
-    radius_mm: float = 38.1
-    """Radius of the ball, mm, about: its outlines measure it."""
-    reflectance: float = 0.18
-    """Reflectance of the ball, as its maker states or a spectrometer measured it."""
-    sets_the_scale: bool = False
-    """Whether colours are scaled to it; else to the chart's neutral patches, and it is a check."""
-    facing: float = 0.5
-    """Places are read whose normal and way to the camera have at least this cosine."""
-    lit_share: float = 0.3
-    """Places are read whose light is at least this share of that of the ball's brightest place."""
-
-
 def ball_albedo(
-    pictures: list[Picture], lights: LightSet, config: GreyConfig, where: Path
+    pictures: list[Picture], lights: LightSet, config: GreyAlbedoConfig, where: Path
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """What each camera reads the ball's albedo to be.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,16 +11,16 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.lights import MeasuredLights
 from lightstage.rig import Rig
 from processing.calibration.ball import BallShots, Steps
+from processing.calibration.lights.config import LightsConfig
 from processing.calibration.lights.flux import intensities
 from processing.calibration.lights.grey_ball import (
     Gains,
-    GreyConfig,
     Readings,
     expected_gains,
     solve_gains,
 )
 from processing.calibration.lights.grey_shots import joined, read_grey_ball
-from processing.calibration.lights.mirror_ball import MirrorConfig, Placed, solve_lamps
+from processing.calibration.lights.mirror_ball import Placed, solve_lamps
 from processing.calibration.lights.mirror_shots import see_highlights
 from processing.calibration.lights.ratios import (
     corrected,
@@ -36,16 +35,6 @@ from processing.lighting.lights import lights_of
 from processing.vectors import unit
 
 AXES = ("x", "y", "z")
-
-
-@dataclasses.dataclass(frozen=True)
-class LightsConfig:
-    """How lamps are measured."""
-
-    mirror: MirrorConfig = dataclasses.field(default_factory=MirrorConfig)
-    """How their places are found by a mirror ball."""
-    grey: GreyConfig = dataclasses.field(default_factory=GreyConfig)
-    """How their gains and fall-off are found by a grey ball."""
 
 
 def fit_lights(

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from processing.calibration.lights.config import GreyBallConfig
 from processing.errors import ProcessingError
 
 LEAST_FACING = 0.35
@@ -57,33 +58,6 @@ class Readings:
 
 
 @dataclasses.dataclass(frozen=True)
-class GreyConfig:
-    """The grey ball.
-
-    Attributes:
-        radius_mm: of the ball, about.
-        gain_sigma: how far lamps' gains may be from nominal, as a share, where no highlights show
-        them.
-        highlight_sigma: the least standard deviation of gains from highlights.
-        exponent: of a lamp's fall-off with the angle to its axis, where the balls do not show it: 1
-            is a bare LED.
-        exponent_sigma: how far it may be from that.
-        noise_share: error of a reading, as a share of the typical one under all lamps.
-        stray_share: stray light expected, as a share of a pattern's mean light.
-        places: about how many places of the ball each camera gives.
-    """
-
-    radius_mm: float = 38.1
-    gain_sigma: float = 0.05
-    highlight_sigma: float = 0.01
-    exponent: float = 1.0
-    exponent_sigma: float = 0.5
-    noise_share: float = 0.002
-    stray_share: float = 0.01
-    places: int = 600
-
-
-@dataclasses.dataclass(frozen=True)
 class Gains:
     """Lamps' gains as the grey ball gives them.
 
@@ -115,7 +89,7 @@ def solve_gains(
     lamps_mm: np.ndarray,
     known_log: np.ndarray,
     known_sigma: np.ndarray,
-    config: GreyConfig,
+    config: GreyBallConfig,
 ) -> Gains:
     """Gains, fall-off and stray light from a grey ball.
 
@@ -165,7 +139,7 @@ def solve_gains(
 
 
 def expected_gains(
-    known_log: np.ndarray, known_sigma: np.ndarray, config: GreyConfig
+    known_log: np.ndarray, known_sigma: np.ndarray, config: GreyBallConfig
 ) -> tuple[np.ndarray, np.ndarray]:
     """(L, 3) logarithms of gains before the grey ball is used, and (L,) how well known."""
     measured = np.isfinite(known_log).all(axis=1) & np.isfinite(known_sigma)
@@ -211,7 +185,7 @@ def _solve(
     log: np.ndarray,
     prior: np.ndarray,
     groups: int,
-    config: GreyConfig,
+    config: GreyBallConfig,
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """(L,) logarithms of gains, (L,) their sigma; exponent and its sigma, by (n, P) readings."""
     count = len(lamps_mm)
@@ -276,7 +250,7 @@ def _solve(
     return gain, sigma_of[:count], exponent, float(sigma_of[-1])
 
 
-def _sigma(model: np.ndarray, group: np.ndarray, config: GreyConfig) -> np.ndarray:
+def _sigma(model: np.ndarray, group: np.ndarray, config: GreyBallConfig) -> np.ndarray:
     """(n, 1) error expected of a reading: a share of its group's typical brightest pattern."""
     brightest = model.max(axis=1)
     typical = np.array([np.median(brightest[group == g]) if (group == g).any() else 1.0
@@ -334,7 +308,11 @@ def quadratic_terms(normals: np.ndarray) -> np.ndarray:
 
 
 def _stray(
-    readings: Readings, lamps_mm: np.ndarray, log: np.ndarray, exponent: float, config: GreyConfig
+    readings: Readings,
+    lamps_mm: np.ndarray,
+    log: np.ndarray,
+    exponent: float,
+    config: GreyBallConfig,
 ) -> dict[str, np.ndarray]:
     """What is left of each pattern, as an affine and quadratic function of the normal."""
     value, model, around = _fitted(readings, lamps_mm, log, exponent)

@@ -18,7 +18,8 @@ from processing.calibration.ball import (
     sphere_hits,
     whole_pattern,
 )
-from processing.calibration.lights.grey_ball import LEAST_FACING, GreyConfig, Readings
+from processing.calibration.lights.config import GreyBallConfig
+from processing.calibration.lights.grey_ball import LEAST_FACING, Readings
 from processing.errors import ProcessingError
 
 LEAST_PLACES = 40
@@ -26,7 +27,7 @@ SUMS_TO = 1e-3
 """Levels of a pair may differ from those of the whole by this and still sum to it."""
 
 
-def read_grey_ball(shots: BallShots, config: GreyConfig, steps: Steps) -> Readings:
+def read_grey_ball(shots: BallShots, config: GreyBallConfig, steps: Steps) -> Readings:
     """Places of one pose of a grey ball."""
     whole = whole_pattern(shots)
     pictures = {camera_id: shots.read(whole, camera_id) for camera_id in shots.cameras}
@@ -95,7 +96,7 @@ class _Part:
 
 
 def _part(
-    camera: Camera, centre_mm: np.ndarray, radius_mm: float, config: GreyConfig
+    camera: Camera, centre_mm: np.ndarray, radius_mm: float, config: GreyBallConfig
 ) -> _Part | None:
     """Where a camera shows a ball; None where it does not show the whole of it."""
     size = radius_px(camera, radius_mm)

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from lightstage.counting import counted
 from lightstage.rig import Camera
 from processing.calibration.ball import nearest_point, rays_through
+from processing.calibration.lights.config import MirrorBallConfig
 from processing.calibration.lights.flux import Flux
 from processing.calibration.lights.highlights import Highlights, expected_px, mirrored
 from processing.errors import ProcessingError
@@ -56,36 +57,6 @@ class Seen:
 
 
 @dataclasses.dataclass(frozen=True)
-class MirrorConfig:
-    """The mirror ball.
-
-    Attributes:
-        radius_mm: of the ball, measured.
-        radius_sigma_mm: how well it is known.
-        position_sigma_mm: how far lamps may stand from where the rig has them.
-        place_sigma_mm: how far from the stage's centre the ball may stand.
-        noise_px: least error of a highlight's centroid.
-        gate_px: a highlight is a lamp's only if it is nearer than this to where it should be.
-        window_share: half the width of a highlight's window, as a share of the ball's radius.
-        floor_share: highlights are brighter than this share of the brightest.
-        noise_times: and than this many times the noise.
-        rim_share: highlights nearer to the ball's outline than this share of its radius are left
-            out: there the mirror turns fastest.
-    """
-
-    radius_mm: float = 38.1
-    radius_sigma_mm: float = 0.3
-    position_sigma_mm: float = 25.0
-    place_sigma_mm: float = 100.0
-    noise_px: float = 0.05
-    gate_px: float = 4.0
-    window_share: float = 0.013
-    floor_share: float = 0.04
-    noise_times: float = 8.0
-    rim_share: float = 0.03
-
-
-@dataclasses.dataclass(frozen=True)
 class Placed:
     """Lamps' positions.
 
@@ -111,7 +82,7 @@ class Placed:
 
 
 def solve_lamps(
-    seen: list[Seen], nominal_mm: np.ndarray, config: MirrorConfig, where: str
+    seen: list[Seen], nominal_mm: np.ndarray, config: MirrorBallConfig, where: str
 ) -> Placed:
     """Positions of L lamps.
 
@@ -201,13 +172,13 @@ def _first_place(seen: list[Seen], pose: int, where: str) -> np.ndarray:
     return nearest_point(np.array(origins), np.array(rays))
 
 
-def _finest(seen: list[Seen], config: MirrorConfig) -> float:
+def _finest(seen: list[Seen], config: MirrorBallConfig) -> float:
     """Pixels of the coarsest picture that a hundredth of the ball's radius covers, at least 1."""
     scale = [s.camera.fx_px / np.linalg.norm(s.camera.centre_mm) for s in seen]
     return max(1.0, 0.01 * config.radius_mm * float(min(scale)))
 
 
-def _match(seen: list[Seen], state: _State, gate_px: float, config: MirrorConfig) -> _Matched:
+def _match(seen: list[Seen], state: _State, gate_px: float, config: MirrorBallConfig) -> _Matched:
     rows: list[tuple[np.ndarray, ...]] = []
     for group, each in enumerate(seen):
         camera, centre = each.camera, state.centres_mm[each.pose]
@@ -297,7 +268,7 @@ def _errors(m: _Matched, state: _State, px_per_turn: np.ndarray | None = None) -
     return _Errors(np.where(good[:, None], px, 0), px_per_turn, turn, way, far, good)
 
 
-def _solved(m: _Matched, state: _State, nominal: np.ndarray, config: MirrorConfig) -> _State:
+def _solved(m: _Matched, state: _State, nominal: np.ndarray, config: MirrorBallConfig) -> _State:
     for _ in range(SOLVES):
         system = _system(m, state, _errors(m, state), nominal, config)
         lamps, rest = system.step()
@@ -311,7 +282,7 @@ def _solved(m: _Matched, state: _State, nominal: np.ndarray, config: MirrorConfi
     return state
 
 
-def _scale_px(errors: _Errors, config: MirrorConfig) -> float:
+def _scale_px(errors: _Errors, config: MirrorBallConfig) -> float:
     """Typical error of a centroid's coordinate."""
     some = np.abs(errors.px[errors.good])
     return max(config.noise_px, 1.4826 * float(np.median(some)) if some.size else 0.0)
@@ -352,7 +323,7 @@ class _System:
 
 
 def _system(
-    m: _Matched, state: _State, errors: _Errors, nominal: np.ndarray, config: MirrorConfig
+    m: _Matched, state: _State, errors: _Errors, nominal: np.ndarray, config: MirrorBallConfig
 ) -> _System:
     count, places = len(nominal), state.centres_mm.size
     sigma = _scale_px(errors, config)
@@ -393,7 +364,7 @@ def _moved(m: _Matched, state: _State, errors: _Errors, axis: int) -> np.ndarray
     return np.where((errors.good & after.good)[:, None], (after.px - errors.px) / step, 0)
 
 
-def _placed(m: _Matched, state: _State, nominal: np.ndarray, config: MirrorConfig) -> Placed:
+def _placed(m: _Matched, state: _State, nominal: np.ndarray, config: MirrorBallConfig) -> Placed:
     errors = _errors(m, state)
     own = _system(m, state, errors, nominal, config).covariance()
     count = len(nominal)

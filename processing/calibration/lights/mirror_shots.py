@@ -8,8 +8,9 @@ import numpy as np
 
 from lightstage.rig import Camera
 from processing.calibration.ball import BallShots, Steps, radius_px, whole_pattern
+from processing.calibration.lights.config import MirrorBallConfig
 from processing.calibration.lights.highlights import Highlights, find_highlights, flux_at
-from processing.calibration.lights.mirror_ball import MirrorConfig, Seen
+from processing.calibration.lights.mirror_ball import Seen
 
 AXES = ("x", "y", "z")
 
@@ -19,7 +20,9 @@ def single_lights(levels: Mapping[str, np.ndarray]) -> dict[str, int]:
     return {name: int(v.argmax()) for name, v in levels.items() if np.count_nonzero(v) == 1}
 
 
-def see_highlights(shots: BallShots, pose: int, config: MirrorConfig, steps: Steps) -> list[Seen]:
+def see_highlights(
+    shots: BallShots, pose: int, config: MirrorBallConfig, steps: Steps
+) -> list[Seen]:
     """Highlights of one pose in every camera."""
     singles = single_lights(shots.levels)
     out = []
@@ -45,7 +48,7 @@ def _single_highlights(
     pose: int,
     camera_id: str,
     singles: dict[str, int],
-    config: MirrorConfig,
+    config: MirrorBallConfig,
     steps: Steps,
 ) -> list[Seen]:
     """Highlights of lights photographed one by one: each is its picture's brightest."""

@@ -12,7 +12,8 @@ from lightstage.counting import counted
 from lightstage.rig import Light, Rig
 from processing.calibration.ball import Steps, ball_shots
 from processing.calibration.folder import Pose, Source
-from processing.calibration.lights.mirror_ball import MirrorConfig, Seen
+from processing.calibration.lights.config import MirrorBallConfig
+from processing.calibration.lights.mirror_ball import Seen
 from processing.calibration.lights.mirror_shots import see_highlights, single_lights
 from processing.calibration.lights.wiring import Wiring, find_wiring
 from processing.errors import ProcessingError
@@ -44,7 +45,7 @@ class Located:
 def locate_lights(
     source: Source,
     rig: Rig | None,
-    config: MirrorConfig,
+    config: MirrorBallConfig,
     allow_unsure: bool = False,
     progress: ProgressCallback = quiet,
 ) -> Located:
@@ -117,7 +118,9 @@ def locate_lights(
     )
 
 
-def _seen(poses: Sequence[Pose], config: MirrorConfig, progress: ProgressCallback) -> list[Seen]:
+def _seen(
+    poses: Sequence[Pose], config: MirrorBallConfig, progress: ProgressCallback
+) -> list[Seen]:
     """Highlights of all poses, of the patterns that light one lamp."""
     seen: list[Seen] = []
     total = sum(len(pose.session.camera_ids()) * len(pose.patterns) for pose in poses)

@@ -225,7 +225,7 @@ def test_a_second_program_of_this_machine_is_refused():
 
 def test_a_rig_of_more_lights_than_the_stage_has_is_refused_and_the_stage_is_free_again():
     with far_end() as server:
-        with pytest.raises(ConfigError, match="a light at channel 168, expected channels 0 to 167"):
+        with pytest.raises(ConfigError, match="a lamp at channel 168, expected channels 0 to 167"):
             open_leds(server.url(QUICK), 169)
         open_leds(server.url(QUICK), 168).close()
 
