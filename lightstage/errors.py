@@ -60,7 +60,7 @@ class MotionError(LightstageError):
 
 
 class FaceError(LightstageError):
-    """A picture in which no face can be looked for, or that shows none."""
+    """A picture in which no face can be searched for, or that shows none."""
 
 
 class PatternError(LightstageError):

@@ -1,6 +1,6 @@
 """A photograph's own record of its taking: settings, body, time, and whether it names a person.
 
-Read from the headers alone, and never written: a RAW is not rewritten. Looked at are
+Read from the headers alone, and never written: a RAW is not rewritten. Read are
 
 * the picture's directories: Artist, Copyright, ImageDescription, HostComputer, the XP fields,
   an XMP packet and an IPTC record;

@@ -131,7 +131,7 @@ def named_cameras(folder: Path, one_light: str | None = None) -> list[str]:
 
 
 def brightest_pattern(patterns: Sequence[str], rig: Rig) -> str:
-    """The pattern that lights most: that in which cameras are looked for."""
+    """The pattern that lights most: that in which cameras are searched for."""
     return max(patterns, key=lambda name: float(pattern_levels(name, rig).sum()))
 
 

@@ -10,7 +10,7 @@ class DomainConfig:
     """The only defaults of `domain-light`; `learning.limits` has their bounds.
 
     Attributes:
-        textures: so many are looked at, at most, evenly among those that are given.
+        textures: largest number that are used, evenly among those that are given.
         seconds: for the search of the lamps in closed form, at most.
         rounds: of light and skin in turns, in that search.
         steps: of the descent through the renderer after it; 0 for none.

@@ -54,7 +54,7 @@ def _opening(rgb: np.ndarray, eye: np.ndarray, skin: np.ndarray) -> np.ndarray |
     """(3, 2) of `openings` for an eye's (6, 2) outline; None where no white is seen."""
     middle = eye.mean(axis=0)
     grown = GROWN * (eye - middle) + middle
-    # The eye's part alone is looked at, however large the photograph is.
+    # The eye's part alone is examined, however large the photograph is.
     size = np.array(rgb.shape[1::-1])
     low = np.clip(np.floor(grown.min(axis=0)), 0, size - 1).astype(int)
     high = np.clip(np.ceil(grown.max(axis=0)) + 1, low + 1, size).astype(int)

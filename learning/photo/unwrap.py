@@ -25,7 +25,7 @@ EDGE_PX = 4
 GRAZING = 0.2
 """Cosine to the camera below which a texel is not taken from the photograph."""
 LARGEST_DEPTH_PX = 1024
-"""Edges of depth are looked for in a picture of the head of so many pixels a side at most."""
+"""Edges of depth are searched for in a picture of the head of so many pixels a side at most."""
 BESIDE_MM = 10.0
 """Of the scene around what is seen, in that picture."""
 LEAST_ISLAND = 0.02
@@ -114,7 +114,7 @@ def smaller(camera: Camera, largest_px: int) -> Camera:
 def depth_camera(
     camera: Camera, away_mm: float, place_px: np.ndarray
 ) -> tuple[Camera, int, np.ndarray]:
-    """The camera of the picture in which edges of depth are looked for, and how far, in pixels.
+    """The camera of the picture in which edges of depth are searched for, and how far, in pixels.
 
     In a photograph of few pixels the cheek's slope would be a step of depth from pixel to pixel,
     so that the picture of depth has pixels of its own: as large as `EDGE_MM` asks, of at most

@@ -38,7 +38,7 @@ class LookConfig:
     """What a photograph of a target must show at once. Levels are shares of the white level.
 
     Attributes:
-        looked_at_px: longer side to which a photograph is reduced before targets are looked for.
+        looked_at_px: longer side to which a photograph is reduced before targets are searched for.
         min_corners_share: of the board's inner corners, in the camera that it faces.
         min_board_cameras: cameras of a pose that must see at least four corners of the board (all
             of a smaller rig).

@@ -24,12 +24,12 @@ from lightstage.rig import Camera, Rig
 
 @dataclasses.dataclass(frozen=True)
 class Moved:
-    """A camera that was found at another port than it was looked for at.
+    """A camera that was found at another port than it was searched for at.
 
     Attributes:
         camera: its id.
         serial: its serial number, by which it was found.
-        port: where it was looked for.
+        port: where it was searched for.
         there: serial number of the body that is there instead; None where nothing answered.
         found: the port at which it is.
     """

@@ -56,11 +56,11 @@ LONGEST_NAME = 1000
 UNKNOWN_BYTES = 100_000_000
 """Taken for the size of a file of which the camera has not reported it."""
 PAUSE_S = 0.2
-"""Between two looks for a camera that is not there."""
+"""Pause between two searches for a camera that is not there."""
 
 
 _CAMERAS: weakref.WeakSet[CameraProcess] = weakref.WeakSet()
-"""All of this process: one that is looked for is not looked for where another one works."""
+"""All of this process: one that is searched for is not searched for where another one works."""
 
 
 class CameraProcess:

@@ -1,4 +1,4 @@
-"""A photograph as a face is looked for in it: sRGB of 8 bits, upright, whatever else it holds."""
+"""A photograph as a face is searched for in it: sRGB of 8 bits, upright, whatever else it holds."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from lightstage.formats.orientation import of_libraw
 from lightstage.photo_file import identify_file
 
 LARGEST_PX = 2000
-"""Longer side of the pictures that features are looked for in, at most."""
+"""Longer side of the pictures that features are searched for in, at most."""
 LIT_SHARE = 0.05
 """Share of the brightest twentieth's level: a brighter place, slightly blurred, shows something
 lit."""
