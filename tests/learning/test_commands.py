@@ -12,7 +12,7 @@ from lightstage.formats.environment import LightSet, read_lights, write_lights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
 from lightstage.formats.processed import ProcessedFolder, write_map
-from lightstage.rig import Rig, default_rig, save_rig
+from lightstage.rig import Rig, default_rig, load_rig, save_rig
 from tests.learning.export.called import run
 
 TINY_TOML = """
@@ -60,15 +60,28 @@ def test_render_writes_a_picture_of_the_head(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    picture = tmp_path / "head.png"
+    picture, lit = tmp_path / "head.png", tmp_path / "lit.exr"
     words = ["render", *options(scene), "--out", picture, "--camera", "cam1", "--json"]
     assert run(monkeypatch, *words) == 0
     facts = json.loads(capsys.readouterr().out.splitlines()[-1])
     image = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)
     assert image.shape == (facts["height_px"], facts["width_px"], 4)
-    middle = image[image.shape[0] // 2, image.shape[1] // 2]
-    assert middle[3] == 255
-    assert middle[2] > middle[0] > 0
+    # The middle pixel shows the baked texture where its ray meets the ball.
+    assert run(monkeypatch, "bake", *options(scene), "--camera", "cam1", "--out", lit) == 0
+    row, column = image.shape[0] // 2, image.shape[1] // 2
+    camera = load_rig(scene["rig"]).camera("cam1")
+    ray, eye = camera.rays_through(np.array(column + 0.5), np.array(row + 0.5)), camera.centre_mm
+    radius = np.linalg.norm(read_obj(scene["mesh"]).vertices, axis=1).mean()
+    away = -ray @ eye - np.sqrt((ray @ eye) ** 2 - eye @ eye + radius**2)
+    x, y, z = (eye + away * ray) / radius
+    texture = read_exr(lit)
+    place = (np.arctan2(x, z) / (2 * np.pi) + 0.5, 0.5 - np.arcsin(y) / np.pi)
+    at = [
+        float(share * side - 0.5) for share, side in zip(place, texture.shape[1::-1], strict=True)
+    ]
+    shown = cv2.remap(texture, *(np.full((1, 1), v, np.float32) for v in at), cv2.INTER_LINEAR)
+    encoded = 1.055 * shown[0, 0] ** (1 / 2.4) - 0.055
+    np.testing.assert_allclose(image[row, column], [*(255 * encoded[::-1]), 255], atol=2)
     assert image[0, 0].tolist() == [255, 255, 255, 0]
     linear = tmp_path / "head.exr"
     dark = ["render", *options(scene), "--out", linear, "--background", "black"]
@@ -126,7 +139,8 @@ def test_train_then_infer_writes_the_maps(
         tmp_path / "tiny.toml",
     ]
     assert run(monkeypatch, *train) == 0
-    assert "PSNR" in capsys.readouterr().out
+    saved = json.loads((tmp_path / "run" / "checkpoint.json").read_text())
+    assert f"PSNR {saved['metrics']['psnr_db']:.2f} dB;" in capsys.readouterr().out
     assert run(monkeypatch, *train) == 2
     assert "a run that is there already" in capsys.readouterr().err
     assert run(monkeypatch, *train, "--resume", "--seconds", 0.2) == 0

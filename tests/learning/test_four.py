@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
 from pathlib import Path
@@ -33,7 +34,7 @@ from learning.four.infer import infer_four, seen_texture
 from learning.four.networks import fresh_networks, load_four_networks
 from learning.four.train import FourTrainer, config_of_part
 from learning.infer import prepare
-from learning.networks.discriminator import DiscriminatorConfig
+from learning.networks.discriminator import DiscriminatorConfig, feature_loss
 from learning.networks.generator import GeneratorConfig
 from learning.patch_config import PatchConfig
 from learning.presets import FAMILIES, preset
@@ -58,6 +59,10 @@ TINY = FourTrainConfig(
     log_steps=1,
     score_patches=4,
 )
+
+
+LOSSES = ("adversarial", "features", "maps")
+"""Of each of the four generators."""
 
 
 def drawn(store_path: Path, data: DataConfig = TINY.data, count: int = 2) -> Batch:
@@ -172,6 +177,28 @@ def test_a_few_steps_bring_every_network_nearer_to_the_truth(store_path: Path) -
     assert not any("rendering" in name for name in lines[0])
 
 
+def test_a_steps_losses_are_of_each_networks_answer_and_its_own_discriminators(
+    store_path: Path,
+) -> None:
+    batch, trainer = drawn(store_path), FourTrainer(TINY)
+    before = {part: copy.deepcopy(own.generator) for part, own in trainer.trainers.items()}
+    losses = trainer.step(batch)
+    for part, pair in pairs(batch).items():
+        # A step moves the discriminators first, and judges by what they are then.
+        judge = trainer.trainers[part].discriminators
+        with torch.no_grad():
+            found = before[part](pair.inputs)
+            real, fake = (judge(torch.cat([pair.inputs, x], 1)) for x in (pair.target, found))
+            # The batch's patches are covered everywhere.
+            expected = (
+                sum((features[-1] - 1).square().mean() for features in fake),
+                TINY.feature_weight * feature_loss(real, fake),
+                TINY.map_weight * (found - pair.target).abs().mean(),
+            )
+        for name, value in zip(LOSSES, expected, strict=True):
+            assert losses[f"{part}.{name}"] == pytest.approx(float(value), rel=1e-4)
+
+
 def test_networks_of_one_size_begin_with_weights_of_their_own() -> None:
     networks = FourTrainer(TINY).trained
     first, second = (
@@ -189,15 +216,21 @@ def run(store_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     result = train(open_store(store_path), out, TINY)
     assert result.steps == 6
     assert result.held_out == ["person-2"]
-    assert min(result.shares.values()) > 0
+    # Batches are made meanwhile, and no loss of the four is rendered.
+    assert result.shares["network"] + result.shares["idle"] == pytest.approx(1)
+    last = json.loads((out / "metrics.jsonl").read_text().splitlines()[-1])
+    assert result.shares.keys() == {"data", "rendering", "network", "idle"}
+    for name, share in result.shares.items():
+        assert share > 0
+        assert last[f"share_{name}"] == round(share, 4)
     return out
 
 
 def test_a_run_holds_figures_of_every_part_and_both_files(run: Path) -> None:
     lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     assert [line["step"] for line in lines] == [*range(6), 6]
-    for part in PARTS:
-        assert lines[0][f"{part}.features"] > 0
+    logged = {f"{p}.{n}" for p in PARTS for n in (*LOSSES, "discriminators", "error")}
+    assert {name for name in lines[0] if "." in name} == logged
     names = {path.name for path in run.iterdir()}
     (events,) = (name for name in names if name.startswith("events.out.tfevents."))
     assert names == {

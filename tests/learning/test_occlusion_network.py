@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
+import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +20,7 @@ from learning.checkpoint import shipped_weights
 from learning.errors import CheckpointError, MapsError, TrainingError
 from learning.maps import load_head
 from learning.occlusion_run import (
+    SCORED,
     Head,
     bake_heads,
     fingerprint,
@@ -29,7 +33,12 @@ from learning.occlusion_run import (
 from learning.relight import shadows_of
 from learning.render import occlusion_training
 from learning.render.light_dome import even_directions
-from learning.render.occlusion_model import OcclusionConfig, bake_dome, bake_table
+from learning.render.occlusion_model import (
+    OcclusionConfig,
+    bake_dome,
+    bake_table,
+    load_occlusion,
+)
 from learning.render.occlusion_network import (
     OcclusionNetwork,
     OcclusionNetworkConfig,
@@ -355,16 +364,36 @@ def test_the_command_trains_beside_the_table_and_render_shades_with_the_network(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     (tmp_path / "quick.toml").write_text("steps = 2\njoint_steps = 2\nregressed = 8\nbatch = 2\n")
-    words = ["occlusion", "--directions", 8, "--out", tmp_path / "t.npz", "--json"]
-    words += ["--head", people[0].registered_mesh, "--config", tmp_path / "quick.toml"]
+    words = ["occlusion", "--directions", 64, "--out", tmp_path / "t.npz", "--json"]
+    # A ball casts no shadow on itself; with a waist it does.
+    person = ProcessedFolder(shutil.copytree(people[0].root, tmp_path / "person"))
+    ball = read_mesh(person.registered_mesh)
+    size = 1 - 0.7 * np.exp(-((ball.vertices[:, 1:2] / 30) ** 2))
+    write_obj(ball.with_vertices(ball.vertices * size), person.registered_mesh)
+    words += ["--head", person.registered_mesh, "--config", tmp_path / "quick.toml"]
+    clock = itertools.count(100.0, 0.5)
+    fake = SimpleNamespace(process_time=lambda: next(clock))
+    monkeypatch.setattr("learning.render.occlusion_score.time", fake)
+    monkeypatch.setattr("learning.occlusion_run.SCORED_SETS", 50)
     assert run(monkeypatch, *words, "--network", tmp_path / "own") == 0
     facts = json.loads(capsys.readouterr().out.splitlines()[-1])
-    for name in ("no_shadows", "table", "network", "fitted"):
-        assert 0 <= facts[f"score_{name}"] <= 1
-    for name in ("rays_ms", "table_ms", "network_ms"):
-        assert facts[f"score_{name}"] > 0
+    network, _ = load_occlusion_network(tmp_path / "own")
+    sizes, rng = network.config, np.random.default_rng([0, SCORED])
+    mesh = read_head(person.registered_mesh).mesh
+    unseen = unseen_lights([mesh], sizes.rows, sizes.lights, 50, rng)
+    table = unseen.by_table(load_occlusion(tmp_path / "t.npz"))
+    pictures = {"table": table, "network": unseen.by_network(network), "no_shadows": 0 * table + 1}
+    for name, seen in pictures.items():
+        error = seen[:, unseen.covered] - unseen.truth[0]
+        assert facts[f"score_{name}"] == pytest.approx(np.abs(error).mean(), rel=1e-4)
+        root = np.sqrt(np.square(error).mean())
+        assert facts[f"score_{name}_rms"] == pytest.approx(root, rel=1e-4)
+    # Half a second for 50 sets.
+    assert {facts[f"score_{name}_ms"] for name in ("rays", "table", "network")} == {10.0}
+    assert facts["score_table"] < 0.8 * facts["score_no_shadows"]
     assert f"table {facts['score_table']:.4f}" in facts["said"]
     assert f"network {facts['score_network']:.4f}" in facts["said"]
+    assert f"{facts['score_fitted']:.4f} before its joint steps" in facts["said"]
     about = json.loads((tmp_path / "own" / "checkpoint.json").read_text())
     assert about["metrics"]["network"] == facts["score_network"]
     assert about["step"] == 4
@@ -373,13 +402,13 @@ def test_the_command_trains_beside_the_table_and_render_shades_with_the_network(
     environment = write_lights(lights, tmp_path / "e.json")
     base = ["render", "--environment", environment, "--rig", rig_file(tmp_path)]
     base += ["--shadows", f"network:{tmp_path / 'own'}", "--out", tmp_path / "p.png"]
-    assert run(monkeypatch, *base, "--maps", people[0].root / "atlas") == 0
+    assert run(monkeypatch, *base, "--maps", person.root / "atlas") == 0
     (tmp_path / "p.png").unlink()
     assert run(monkeypatch, *base, "--maps", people[1].root / "atlas") == 2
     assert "found 1 other head" in capsys.readouterr().err
     assert not (tmp_path / "p.png").exists()
     base[base.index("--shadows") + 1] = "network:"
-    assert run(monkeypatch, *base, "--maps", people[0].root / "atlas") == 2
+    assert run(monkeypatch, *base, "--maps", person.root / "atlas") == 2
     assert "expected baked, table, none, table:FILE, network:FILE" in capsys.readouterr().err
 
 

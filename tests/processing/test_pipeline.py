@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 import os
+import resource
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,6 +30,7 @@ from processing.frames.read import Frames, read_frames, write_frames
 from processing.masks import foreground
 from processing.pipeline import run
 from processing.pipeline_config import PipelineConfig, read_config
+from processing.records import measured
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball
 
@@ -326,8 +330,11 @@ def test_a_stage_without_those_before_it_states_what_to_run(session: Path, tmp_p
 
 
 def test_separate_alone_decodes_first_and_prints_facts(
-    session: Path, tmp_path: Path, command: Callable[..., Any]
+    session: Path, tmp_path: Path, command: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    clock = itertools.count(100.0, 7.25)
+    fake = SimpleNamespace(perf_counter=lambda: next(clock))
+    monkeypatch.setattr("processing.records.time", fake)
     done = command("separate", session, "--out", tmp_path / "out", "--json")
     assert done.code == 0, done.err
     facts = json.loads(done.out.splitlines()[-1])
@@ -335,8 +342,30 @@ def test_separate_alone_decodes_first_and_prints_facts(
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["subject"] == "ball"
     assert report["consent"] is None
-    assert report["stages"]["separate"]["seconds"] >= 0
-    assert report["stages"]["separate"]["peak_rss_mb"] > 10
+    assert {report["stages"][name]["seconds"] for name in facts["ran"]} == {7.25}
+
+
+@pytest.mark.skipif(
+    not os.access("/proc/self/clear_refs", os.W_OK), reason="this system keeps one peak alone"
+)
+def test_the_peak_of_memory_is_of_the_block_that_is_measured() -> None:
+    def measured_mb(held_mb: int) -> float:
+        facts: dict[str, Any] = {}
+        with measured(facts):
+            # What is not written takes no memory.
+            assert np.ones(held_mb << 17).all()
+        return float(facts["peak_rss_mb"])
+
+    before_mb = resident_mb()
+    large, small = measured_mb(64), measured_mb(0)
+    assert large == pytest.approx(before_mb + 64, abs=8)
+    assert small == pytest.approx(before_mb, abs=8)
+
+
+def resident_mb() -> float:
+    """Memory of this process now, in units of 2^20 bytes."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
 
 
 def test_separate_alone_decodes_again_what_was_removed(session: Path, tmp_path: Path) -> None:

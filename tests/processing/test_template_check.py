@@ -286,17 +286,34 @@ def test_the_command_warns_draws_and_exits_2_only_where_nothing_can_be_done(
     assert "warning: regions missing: no eyes, ears, hair" in ended.err
     facts = json.loads(ended.out.splitlines()[-1])
     assert facts["open_borders"] >= 1
-    drawn = cv2.imread(str(picture))
-    assert drawn.shape[1] == 1600
-    assert drawn[:640, 640:].std() > 20  # a face beside the texture
+    (holes,) = (each for each in check_template(face, QUICK)[0] if each.name == "holes")
+    require_in_first_colour(face, holes.triangles, picture)
     bad = save_template(faulty(face)["inside out"], tmp_path / "bad")
     ended = run_command("processing", "template", "check", bad, "--picture", tmp_path / "Q.png")
     assert ended.code == 2
     assert "inside out" in ended.err
-    assert (tmp_path / "Q.png").is_file()
+    require_in_first_colour(face, holes.triangles, tmp_path / "Q.png")
     ended = run_command("processing", "template", "check", tmp_path)
     assert ended.code == 2
     assert "template.json" in ended.err
+
+
+def require_in_first_colour(template, triangles, path):
+    """A picture shows these triangles, and no others, in the colour of the first finding."""
+    from processing.template.picture import COLOURS, ROWS
+
+    image = cv2.imread(str(path))[..., ::-1].astype(float)
+    assert image.shape[1] == 5 * ROWS // 3
+    # At its middle a triangle shows no edge.
+    middle = template.mesh.uvs[template.mesh.triangle_uvs()].mean(axis=1)
+    columns, rows = (middle * [ROWS * 2 // 3, -ROWS] + [0, ROWS]).astype(int).T
+    near = np.abs(image[rows, columns] - COLOURS[0]).max(axis=1) < 70
+    np.testing.assert_array_equal(near, np.isin(np.arange(len(near)), triangles))
+    # Beside the texture is the mesh, shaded, from four sides: a third of each is red.
+    mesh, side = image[:ROWS, ROWS * 2 // 3 :], ROWS // 2
+    red = mesh[..., 0] > 3 * mesh[..., 1:].max(axis=2)
+    shares = red.reshape(2, side, 2, side).mean(axis=(1, 3))
+    np.testing.assert_allclose(shares, 0.33, atol=0.05)
 
 
 def test_the_picture_shows_a_fault_in_its_place(face):

@@ -8,19 +8,24 @@ import os
 import signal
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
+from learning.checkpoint import load_whole_face
 from learning.errors import TrainingError
 from learning.experiments import command, work
 from learning.experiments.command import ExperimentRequest, experiment_command, left_line
 from learning.experiments.config import sized
 from learning.experiments.drive import run_all
-from learning.experiments.held_out import FIGURES
+from learning.experiments.held_out import FIGURES, measure, read_subjects
 from learning.experiments.lights import NAMES
-from learning.experiments.people import halves_of
+from learning.experiments.people import halves_of, store_of
 from learning.experiments.variants import EXPERIMENTS, STEPS
 from learning.experiments.work import DIVERGED, DONE, STOPPED, Order, one_run
+from learning.patch_light import target_environment
+from learning.render.environments import RandomLightConfig
+from learning.whole.infer import infer_whole_face
 from lightstage.commands import quiet
 from lightstage.errors import ConfigError, LightstageError, MemoryLimitError
 from processing.dataset import open_store
@@ -57,13 +62,32 @@ def test_a_ladder_leaves_figures_of_each_person_and_light_and_no_weights(finishe
         (person,) = figures["people"]
         assert person["name"] == "person-2"
         assert list(person["lights"]) == ["target", "side-right"]
-        values = [light[name] for light in person["lights"].values() for name in FIGURES]
-        assert all(0 < value < 1 for value in values)
+        assert all(light.keys() == set(FIGURES) for light in person["lights"].values())
         assert (folder / "target.png").is_file()
     # A refinement needs the network that it refines, but not its optimiser.
     kept = {path.parent.parent.name for path in finished.rglob("*.safetensors")}
     assert kept == {"modern-steps-seed0"}
     assert not list(finished.rglob("training-*.safetensors"))
+
+
+def test_the_figures_of_a_run_are_those_of_the_network_that_it_left(
+    finished: Path, store_path: Path
+) -> None:
+    (folder,) = finished.glob("runs/*/modern-steps-seed0")
+    network, _ = load_whole_face(folder / "training")
+    (subject,) = read_subjects(
+        store_of(open_store(store_path), (), ("person-2",)), {"b-person-2"}, TINY.shadow_rows
+    )
+    target = target_environment(RandomLightConfig(), "physical", 0)
+    found = measure(
+        subject,
+        target,
+        ("target", "side-right"),
+        lambda texture, mesh: infer_whole_face(network, texture, mesh, np.eye(3, 4)),
+    )
+    (person,) = json.loads((folder / "figures.json").read_text())["people"]
+    for each in found:
+        assert person["lights"][each.light] == pytest.approx(each.figures, rel=1e-4)
 
 
 def test_a_second_call_finds_all_done_and_the_report_can_be_written_without_data(
@@ -79,8 +103,10 @@ def test_a_second_call_finds_all_done_and_the_report_can_be_written_without_data
     assert "1 seed: the intervals hardly include what another seed would give" in text
     assert "1 person held out: the intervals are too narrow" in text
     assert "| `modern`, network alone | single network |" in text
-    assert (finished / "reflectance-steps.svg").is_file()
-    assert json.loads((finished / "report.json").read_text())["budgets"][STEPS]["settings"]
+    settings = json.loads((finished / "report.json").read_text())["budgets"][STEPS]["settings"]
+    assert [each["name"] for each in settings] == ["single", "modern", "modern-refined"]
+    # One dot for each seed of each setting.
+    assert (finished / "reflectance-steps.svg").read_text().count("<circle ") == 3
 
 
 def test_runs_of_other_code_are_kept_apart_and_named(
@@ -89,15 +115,16 @@ def test_runs_of_other_code_are_kept_apart_and_named(
     monkeypatch.setattr(command, "code_version", lambda: "9.9+other")
     run(asked("ladder", finished, None, report=True))
     # With no run of this code the report is of the code that has most.
-    assert "Code 0." in (finished / "report.md").read_text()
+    (own,) = (path.name for path in (finished / "runs").iterdir())
+    assert f"\nCode {own}.\n" in (finished / "report.md").read_text()
     folder = finished / "runs" / "9.9+other" / "single-steps-seed0"
     folder.mkdir(parents=True)
-    some = next(finished.glob("runs/0*/single-steps-seed0/figures.json")).read_text()
+    some = (finished / "runs" / own / "single-steps-seed0" / "figures.json").read_text()
     (folder / "figures.json").write_text(some)
     run(asked("ladder", finished, None, report=True))
     text = (finished / "report.md").read_text()
-    assert "Code 9.9+other" in text
-    assert "Runs of other code in this folder are not in the tables: 3 of 0." in text
+    assert "\nCode 9.9+other.\n" in text
+    assert f"Runs of other code in this folder are not in the tables: 3 of {own}.\n" in text
 
 
 def order_of(store_path: Path, out: Path, variant: str = "single", **more: object) -> Order:

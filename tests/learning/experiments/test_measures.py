@@ -293,7 +293,11 @@ def test_a_step_of_the_published_networks_can_be_measured_and_its_line_follows_f
     monkeypatch.setattr("learning.experiments.cost.WARM", 0)
     monkeypatch.setattr("learning.experiments.cost.STEPS", 1)
     for name in ("paper", "avatarme"):
-        assert step_seconds(name, cpu, patch_px=64, width=2) > 0
+        with monkeypatch.context() as patch:
+            clock = itertools.count(100.0, 1.5)
+            fake = SimpleNamespace(perf_counter=lambda ticks=clock: next(ticks))
+            patch.setattr("learning.experiments.cost.time", fake)
+            assert step_seconds(name, cpu, patch_px=64, width=2) == 1.5
     assert full_size_line(tmp_path) == ""
     monkeypatch.setattr("learning.experiments.cost.step_seconds", lambda name, _: len(name) / 10)
     store = open_store(store_path)

@@ -127,7 +127,7 @@ def test_a_day_can_begin_without_a_plan(tmp_path) -> None:
         added = visitor.post("/plan/add", stamp=site.desk.stamp(), subject="P1", consent="C-1")
         assert added.headers["HX-Redirect"] == "/plan"
         assert "0 of 7 sessions done" in visitor.get("/plan").text
-        assert "start it again with" in visitor.post("/start").text.lower()
+        assert "Start it again with them: lightstage console --help." in visitor.post("/start").text
 
 
 def test_a_broken_photograph_reports_it_and_the_others_are_shown(site, dng) -> None:
@@ -200,7 +200,8 @@ def test_two_hundred_patterns_are_not_all_shown_at_a_time(site) -> None:
 
 def test_a_plan_whose_folder_moved_wants_a_new_console(site, plan) -> None:
     plan.write_text(plan.read_text().replace('"sessions"', '"elsewhere"'))
-    assert "start it again" in site.visitor().get("/plan").text
+    page = site.visitor().get("/plan").text
+    assert "Its folder was changed: end the console, and start it again." in page
 
 
 def test_sessions_that_nobody_looks_at_hold_no_file(site) -> None:

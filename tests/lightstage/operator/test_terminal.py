@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -405,4 +406,5 @@ def test_an_operator_can_be_made_without_a_terminal(replay):
     with open_operator("S", console=Console(file=file)) as operator:
         for line in replay:
             operator.receive(json.loads(json.dumps(line)))
-    assert "complete" in file.getvalue()
+    last = file.getvalue().rstrip().splitlines()[-1]
+    assert re.fullmatch(r"\d\d:\d\d:30 \+ The session is complete: 63 photographs\.", last)

@@ -46,7 +46,8 @@ def test_a_clock_behind_a_journal_or_in_the_past_is_refused(tmp_path):
         tmp_path / "new", CONFIG, datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
     )
     assert finding.severity == "refuse"
-    assert "2025" in finding.expected
+    assert finding.expected == "2025 or later"
+    assert finding.found == "1970-01-01T00:00:00+00:00"
 
 
 def test_the_sessions_own_journal_counts_when_it_is_resumed(tmp_path):
