@@ -44,6 +44,9 @@ from lightstage.counting import counted
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 
+FRONT_Z_MM, CHIN_Y_MM, FOREHEAD_Y_MM = 40.0, -110.0, 40.0
+"""Where brows, eyes and lips are, in the head frame. Hair begins elsewhere on each person, and would
+hide which way up they are."""
 LEAST_TEXELS = 100
 """A head has about 4,000 at the network's size."""
 OTHER_LAYOUT = (
@@ -207,8 +210,9 @@ def run_network(
     small = _mean_over(to_batch(texture), seen, shape)
     if network_sees is None:
         # Else the caller made the texture, and knows its rows: half a face may look like anything.
-        pattern = network.mean_log_albedo * (network.mean_position_mm != 0).any(dim=1, keepdim=True)
-        require_upright(_image(small), _image(pattern), named[0])
+        _, height, depth = network.mean_position_mm.split(1, dim=1)
+        front = (depth > FRONT_Z_MM) & (height > CHIN_Y_MM) & (height < FOREHEAD_Y_MM)
+        require_upright(_image(small), _image(network.mean_log_albedo * front), named[0])
     low_normal = _turned(unit(shrink(to_batch(normal), shape)), head_from_mesh)
     shown = (shrink(seen, shape) > 0.5).float()
     given = face_input(small * shown, low_normal, low_position, shown)

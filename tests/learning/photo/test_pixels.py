@@ -69,10 +69,12 @@ def test_a_collar_leaves_no_line_on_the_neck(shot: Shot, model: ShapeModel) -> N
     photograph = ((1 - share) * rgb + share * 0.004).astype(np.float32)
     found = foreground(photograph, shot.mesh, model.face, shot.camera)
     shown = unwrap(photograph, shot.mesh, raster, shot.camera, found)
-    # The neck is there, of .25, and hardly darker anywhere; the collar itself would be .24 off.
+    # The neck is there, of .25. The collar itself would be .24 off: of thousands of texels a handful
+    # along its soft edge have a part of it, less than half.
     beside = np.abs(shown.texture - neck).max(axis=2)[shown.seen]
     assert shown.seen.sum() > 2000
-    assert beside.max() < 0.09
+    assert (beside > 0.05).mean() < 0.002
+    assert beside.max() < 0.12
 
 
 def test_slivers_of_the_outline_are_left_out_and_eyes_stay() -> None:
@@ -137,7 +139,7 @@ def test_a_picture_of_one_colour_gives_some_mask(
 def test_an_enlarged_photograph_shows_each_texel_what_the_photograph_does(
     shot: Shot, model: ShapeModel, network: Rcan
 ) -> None:
-    camera = camera_at(15.0).scaled(0.35)
+    camera = camera_at(15.0).scaled(0.28)
     raster = rasterise(shot.mesh, ROWS, ROWS * 2 // 3)
     times = texels_a_pixel(shot.mesh, raster, model.face, camera)
     assert 1.5 < times < 5
