@@ -33,9 +33,9 @@ ASPECT_OFF = 0.02
 """Share by which rows over columns may differ: sizes are whole numbers."""
 LEAST_LIKENESS, MORE_LIKE = 0.1, 0.1
 """Correlation with the mean person's brows, eyes and lips that a face upside down has at least once
-it is turned over, and how much more than as it is. Of 300 upright ones in random light 95 % have more
-than 0.21, and at most 0.06 when they are turned over; none is refused, and of 300 upside down one
-is taken."""
+it is turned over, and how much more than as it is. Of 300 upright ones in random light 95 % have
+more than 0.21, and at most 0.06 when they are turned over; none is refused, and of 300 upside down
+one is taken."""
 SURROUNDINGS = 1 / 72
 """Standard deviation of the blur that separates a pattern from light, as a share of the rows."""
 MOST_TEXELS = 2**28
@@ -96,7 +96,8 @@ def require_upright(texture: np.ndarray, pattern: np.ndarray, where: str | Path)
 
     Args:
         texture: (h, w, 3) linear, at the network's size; 0 where it was not photographed.
-        pattern: (h, w, 3) natural logarithm of the mean person's albedo; 0 where it is not compared.
+        pattern: (h, w, 3) natural logarithm of the mean person's albedo; 0 where nothing is
+            compared.
         where: what to name in an error.
     """
     shown = (texture.max(axis=2) > UNSEEN) & (pattern != 0).any(axis=2)

@@ -45,8 +45,8 @@ from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 
 FRONT_Z_MM, CHIN_Y_MM, FOREHEAD_Y_MM = 40.0, -110.0, 40.0
-"""Where brows, eyes and lips are, in the head frame. Hair begins elsewhere on each person, and would
-hide which way up they are."""
+"""Where brows, eyes and lips are, in the head frame. Hair begins elsewhere on each person, and its
+edge would hide which way up a face is."""
 LEAST_TEXELS = 100
 """A head has about 4,000 at the network's size."""
 OTHER_LAYOUT = (

@@ -69,7 +69,7 @@ def test_a_collar_leaves_no_line_on_the_neck(shot: Shot, model: ShapeModel) -> N
     photograph = ((1 - share) * rgb + share * 0.004).astype(np.float32)
     found = foreground(photograph, shot.mesh, model.face, shot.camera)
     shown = unwrap(photograph, shot.mesh, raster, shot.camera, found)
-    # The neck is there, of .25. The collar itself would be .24 off: of thousands of texels a handful
+    # The neck is there, of .25. The collar itself would be .24 off: of thousands of texels a few
     # along its soft edge have a part of it, less than half.
     beside = np.abs(shown.texture - neck).max(axis=2)[shown.seen]
     assert shown.seen.sum() > 2000
