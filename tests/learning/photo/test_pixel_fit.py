@@ -261,9 +261,12 @@ def test_a_hand_before_the_cheek_loses_its_weight(search: tuple[PixelFit, State]
     assert np.isfinite(nothing).all()
 
 
-@pytest.mark.parametrize("value", [0.0, 1.0, np.nan, np.inf])
+@pytest.mark.parametrize(
+    ("value", "most_mm"), [(0.0, 0.01), (1.0, 3.0), (np.nan, 0.01), (np.inf, 0.01)]
+)
 def test_a_photograph_that_shows_nothing_leaves_the_landmarks_shape(
     value: float,
+    most_mm: float,
     shot: Shot,
     template: Template,
     places: Places,
@@ -276,10 +279,10 @@ def test_a_photograph_that_shows_nothing_leaves_the_landmarks_shape(
     found = shape_of(empty, template, places, network, config, small)
     assert np.isfinite(found.meshes[0].vertices).all()
     assert np.isfinite(found.deviation_mm).all()
-    if value == 0.0:
-        alone = shape_of(empty, template, places, network, SMALL, small)
-        moved = np.linalg.norm(found.meshes[0].vertices - alone.meshes[0].vertices, axis=1)
-        assert moved[found.model.face].mean() < 0.5
+    alone = shape_of(empty, template, places, network, SMALL, small)
+    moved = np.linalg.norm(found.meshes[0].vertices - alone.meshes[0].vertices, axis=1)
+    # A white face counts as one without shading, which moves the shape somewhat.
+    assert moved[found.model.face].mean() < most_mm
 
 
 def test_outlines_lie_where_the_head_ends(template: Template) -> None:
