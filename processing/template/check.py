@@ -113,7 +113,7 @@ def _surface(
         inside = np.zeros(len(vertices), bool)
         for border in holes:
             inside[border.vertices] = True
-        text = f"{counted(len(holes), 'open border')} that are not neck, eyes or mouth"
+        text = f"{counted(len(holes), 'open border')} beside neck, eyes and mouth"
         found.append(Finding("holes", text, np.flatnonzero(inside[triangles].any(axis=1))))
     part = connected(directed_edges(triangles), len(vertices))
     facts["parts"] = len(np.unique(part[triangles]))
