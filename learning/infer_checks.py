@@ -35,7 +35,9 @@ LEAST_LIKENESS, MORE_LIKE = 0.1, 0.1
 """Correlation with the mean person's brows, eyes and lips that a face upside down has at least once
 it is turned over, and how much more than as it is. Of 300 upright ones in random light 95 % have
 more than 0.21, and at most 0.06 when they are turned over; none is refused, and of 300 upside down
-one is taken."""
+28 are taken."""
+CHANCE_DEVIATIONS = 10.0
+"""So many standard deviations of the correlation of unrelated texels must be exceeded, too."""
 SURROUNDINGS = 1 / 72
 """Standard deviation of the blur that separates a pattern from light, as a share of the rows."""
 MOST_TEXELS = 2**28
@@ -104,7 +106,9 @@ def require_upright(texture: np.ndarray, pattern: np.ndarray, where: str | Path)
     logarithm, mean = np.log(np.maximum(texture, UNSEEN)).mean(axis=2), pattern.mean(axis=2)
     upright = _likeness(logarithm, mean, shown)
     over = _likeness(logarithm[::-1], mean, shown[::-1])
-    if over > max(LEAST_LIKENESS, upright + MORE_LIKE):
+    # Of few texels a correlation is large by chance.
+    by_chance = CHANCE_DEVIATIONS / max(float(shown.sum()), 1.0) ** 0.5
+    if over > max(LEAST_LIKENESS, by_chance, upright + MORE_LIKE):
         raise MapsError(
             where,
             found=f"a face upside down: like others by {over:.2f} turned over, by {upright:.2f} "
