@@ -231,7 +231,7 @@ def _ball(diameter_px: float, lit: np.ndarray, config: CalibrationConfig) -> lis
                 "ball-small",
                 f"a ball of {diameter_px:.0f} pixels across",
                 f"at least {config.look.min_ball_px:g}",
-                "Use a larger ball, or inspect whether it is the ball that is lit.",
+                "Use a larger ball, or check whether it is the ball that is lit.",
             )
         )
     if lit[0].any() or lit[-1].any() or lit[:, 0].any() or lit[:, -1].any():

@@ -8,7 +8,7 @@ import numpy as np
 
 from lightstage.formats.mesh import Mesh, vertex_normals
 from sim.head.grid import COLUMNS, ROWS
-from sim.head.mesh import grid_places, grid_vertices, neutral_mesh, regions
+from sim.head.mesh import grid_places, grid_vertices, neutral_mesh, regions, row_and_column
 from sim.light.texture import raster_rows, sample
 from sim.skin.normals import bend_normals
 
@@ -84,12 +84,10 @@ def grid_window(rows: int, columns: int, first: int, last: int) -> tuple[np.ndar
     here = grid_places()[corners[face]]
     # The tile is full: a texel's centre is on a triangle, or on an edge but for rounding.
     place = np.einsum("hwk,hwkc->hwc", weights, here)
-    found = ((1 - place[..., 1]) * ROWS, place[..., 0] * COLUMNS)
     beyond = ((low - first, last - high), (0, 0))
-    out = tuple(np.pad(image, beyond, mode="edge").astype(np.float32) for image in found)
-    for image in out:
-        image.flags.writeable = False
-    return out[0], out[1]
+    row, column = (np.pad(image, beyond, mode="edge") for image in row_and_column(place))
+    row.flags.writeable = column.flags.writeable = False
+    return row, column
 
 
 def region_share(name: str) -> np.ndarray:

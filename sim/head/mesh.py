@@ -96,6 +96,12 @@ def grid_places() -> np.ndarray:
     return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
 
 
+def row_and_column(grid_uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column of the vertex grid, float32 each, of places (..., 2) of `grid_places`."""
+    row = (1 - grid_uv[..., 1]) * ROWS
+    return row.astype(np.float32), (grid_uv[..., 0] * COLUMNS).astype(np.float32)
+
+
 def _quads(index: np.ndarray) -> np.ndarray:
     """Quads whose first diagonal is mirror-symmetric and starts at the slit's ends."""
     a, b = index[:-1, :-1], index[1:, :-1]

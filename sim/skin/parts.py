@@ -24,9 +24,9 @@ from sim.head.grid import (
     smoothstep,
 )
 from sim.head.maps import at_grid, grid_window, to_window
-from sim.head.mesh import neutral_mesh
+from sim.head.mesh import neutral_mesh, row_and_column
 from sim.skin.noise import cell_noise, octaves
-from sim.skin.places import PLACE_COLUMNS, PLACE_ROWS, canonical, place_masks, row_and_column
+from sim.skin.places import PLACE_COLUMNS, PLACE_ROWS, canonical, place_masks
 
 TILE_HEIGHT_MM = 400.0
 """About the height of the face's part of our tile, were all of it as dense."""

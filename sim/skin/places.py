@@ -10,7 +10,7 @@ import functools
 
 import numpy as np
 
-from sim.head.grid import COLUMNS, ROWS, smoothstep
+from sim.head.grid import smoothstep
 from sim.head.maps import over_grid, region_share
 from sim.head.mesh import hairline_mm, landmarks, neutral_mesh
 
@@ -137,9 +137,3 @@ def place_masks() -> dict[str, np.ndarray]:
         "hairline": hairline_mm(points),
     }
     return {name: np.asarray(value, np.float32) for name, value in masks.items()}
-
-
-def row_and_column(grid_uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column of the vertex grid, float32 each, of places (..., 2) of `grid_places`."""
-    row = (1 - grid_uv[..., 1]) * ROWS
-    return row.astype(np.float32), (grid_uv[..., 0] * COLUMNS).astype(np.float32)
