@@ -20,6 +20,8 @@ BLACK = 0.05
 has a seventh of it."""
 MOST_SHINE = 0.35
 """Share of a texture's value, in any channel, above which a highlight hides the skin."""
+TINY = 1e-9
+"""Mirrored light, against division by zero."""
 EDGE_SHARE = 1 / 384
 """Distance within which light must not change, of a texture's rows: 4 of 1536."""
 STEEP = 1.35
@@ -39,10 +41,14 @@ def over_light(texture: np.ndarray, irradiance: np.ndarray, shine: np.ndarray) -
         shine: (rows, columns, 3) what is mirrored.
 
     Returns:
-        (rows, columns, 3) float32, `DARKEST` to 1.
+        (rows, columns, 3) float32, `DARKEST` to 1. Of a texel that is not `matt`, only as much of
+        the highlight is taken out as a matt texel has at most: a highlight that is less wide or
+        elsewhere in the photograph would leave it black.
     """
-    unlit = np.clip((texture - shine) / np.maximum(irradiance, DARK_LIGHT), DARKEST, 1.0)
-    return unlit.astype(np.float32)
+    most = MOST_SHINE * np.maximum(texture, 0)
+    share = np.min(most / np.maximum(shine, TINY), axis=2, keepdims=True)
+    matte = texture - np.minimum(share, 1.0) * shine
+    return np.clip(matte / np.maximum(irradiance, DARK_LIGHT), DARKEST, 1.0).astype(np.float32)
 
 
 def matt(texture: np.ndarray, shine: np.ndarray) -> np.ndarray:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from learning.whole.unlit import in_the_dark, light_edges, misplaced
+from learning.networks.whole_face import DARKEST
+from learning.whole.unlit import in_the_dark, light_edges, matt, misplaced, over_light
 
 
 def test_an_edge_of_a_shadow_is_left_out_and_a_slow_fall_is_not() -> None:
@@ -67,3 +68,29 @@ def test_what_is_black_beside_the_face_is_in_a_shadow_and_a_black_beard_is_not(
     # In darkness nothing is darker than the rest; nothing photographed has no median.
     assert not in_the_dark(0 * texture, photographed).any()
     assert not in_the_dark(texture, ~photographed & False).any()
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_a_highlight_stronger_than_the_texture_leaves_no_black_spot(scale: float) -> None:
+    """The highlight grows from none to five times the texture; the albedo falls by .35 at most."""
+    texture = scale * np.full((8, 200, 3), (0.3, 0.2, 0.1), np.float32)
+    shine = np.linspace(0, 5, 200)[:, None] * scale * np.array([0.1, 0.1, 0.1])
+    shine = np.broadcast_to(shine, texture.shape)
+    irradiance = np.full_like(texture, max(scale, 1.0))
+    found = over_light(texture, irradiance, shine)
+    plain = np.clip((texture.astype(float) - shine) / irradiance, DARKEST, 1)
+    matte = matt(texture, shine)
+    assert matte.any()
+    assert not matte.all()
+    np.testing.assert_allclose(found[matte], plain[matte], rtol=1e-5)
+    least = np.maximum(0.649 * texture / irradiance, DARKEST)
+    assert (found >= least - 1e-9).all()
+    # The highlight grows by .0025 a texel: no texel differs from the next by more than that.
+    assert np.abs(np.diff(np.log(found[0]), axis=0)).max() < 0.04
+
+
+def test_black_and_negative_texels_over_any_highlight_are_the_darkest_skin() -> None:
+    texture = np.zeros((2, 2, 3))
+    texture[1] = -0.1
+    found = over_light(texture, np.ones((2, 2, 3)), np.full((2, 2, 3), 0.5))
+    np.testing.assert_array_equal(found, np.float32(DARKEST))
