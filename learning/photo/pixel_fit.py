@@ -52,6 +52,11 @@ DARK = 0.02
 """Light at which a pixel counts a quarter."""
 DARKEST = 0.002
 """Added to all light before logarithms are taken."""
+CLIPPED = 0.99
+"""Share of a photograph's largest value from which a channel may be clipped: it does not show how
+much light there was. A photograph that is not clipped loses its brightest highlight by it."""
+MOST_CLIPPED = 0.5
+"""Share of such pixels around a place, from which it does not count."""
 GRAZING, FULL = 0.3, 0.5
 """Cosines to the camera from which a place counts, and from which it counts whole."""
 SAME_MM = 1.5
@@ -75,8 +80,13 @@ class Picture:
     def __init__(self, rgb_linear: np.ndarray, sigma_px: float) -> None:
         """(h, w, 3) and the standard deviation of the blur."""
         rgb = np.maximum(np.nan_to_num(rgb_linear), 0).astype(np.float32)
+        sigma_px = max(sigma_px, 0.5)
         self.light = np.ascontiguousarray(rgb @ LUMINANCE.astype(np.float32))
-        soft = cv2.GaussianBlur(self.light, (0, 0), max(sigma_px, 0.5))
+        soft = cv2.GaussianBlur(self.light, (0, 0), sigma_px)
+        most = rgb.max(axis=2)
+        self.clipped_from = CLIPPED * float(most.max())
+        clipped = (most >= self.clipped_from).astype(np.float32)
+        self.clipped = cv2.GaussianBlur(clipped, (0, 0), sigma_px)
         self._value = np.log(soft + DARKEST)
         self._across = cv2.Sobel(self._value, cv2.CV_32F, 1, 0, scale=1 / 8)
         self._down = cv2.Sobel(self._value, cv2.CV_32F, 0, 1, scale=1 / 8)
@@ -271,8 +281,9 @@ class PixelFit:
         face = raster.interpolate(self.model.face[:, None].astype(float))[..., 0] > 0.5
         counts = (unwrapped.seen & face) * np.clip(unwrapped.facing, 0, 1)
         texture = np.nan_to_num(unwrapped.texture[covered].astype(float))
+        shows_light = texture.max(axis=1) < picture.clipped_from
         surface = LitSurface(mesh, raster, camera.centre_mm)
-        search = LightFit(surface, texture, counts[covered].astype(float))
+        search = LightFit(surface, texture, counts[covered] * shows_light)
         light = self._lamps[index]
         if light is None:
             until = time.monotonic() + LIGHT_SECONDS
@@ -293,8 +304,10 @@ class PixelFit:
         # At a shadow's border a shape that is nearly right gives no useful error.
         share = strength[:-1] / max(float(strength.sum()), 1e-6)
         border = np.clip(share @ (4 * seen * (1 - seen)), 0, 1)
-        value = sampled(picture.light, camera.project(position)[0]).astype(float)
+        place_px = camera.project(position)[0]
+        value = sampled(picture.light, place_px).astype(float)
         weight = visible(mesh, camera, position, normals) * (1 - border) ** 2
+        weight *= np.clip(1 - sampled(picture.clipped, place_px) / MOST_CLIPPED, 0, 1)
         return Lit(lamps, seen, openness, strength, shine, weight * (value / (value + DARK)) ** 2)
 
 
