@@ -2,10 +2,13 @@
 
 Blond or grey hair differs too little from the mean person's skin to be found by that difference.
 The person's own colours find it: where those of hair and cheeks are far apart, each texel of the
-forehead belongs to the nearer of the two by Fisher's linear discriminant [Fisher1936].
+forehead belongs to the nearer of the two by Fisher's linear discriminant [Fisher1936]. Templates
+show the face upright, so that a texture's columns go up the forehead.
 """
 
 from __future__ import annotations
+
+import itertools
 
 import cv2
 import numpy as np
@@ -29,6 +32,11 @@ distinct. A bald skull has .2 by what its light leaves, blond hair .4, dark hair
 2."""
 LEAST_DEVIATIONS = 4.0
 """The same in standard deviations within hair and cheeks."""
+DARKER = 0.35
+"""Natural logarithm below the cheeks' median from which a texel under the scalp's hair is hair too,
+or in its shadow; half of the hair's own where that is more."""
+GAP = 1 / 8
+"""Widest gap in a fringe that is no parting, of a texture's columns."""
 LEAST_TEXELS = 100
 NOISE = 0.05, 0.02, 0.02
 """Standard deviations that each has in any case, so that even colours do not decide alone."""
@@ -42,6 +50,7 @@ class Forehead:
         marks = template.mesh.vertices[template.landmarks]
         brows, eyes, mouth = (marks[part, 1] for part in (BROWS, EYES, MOUTH))
         above, ahead = place[..., 1], raster.covered & (place[..., 2] > AHEAD_MM)
+        self.height_mm = above
         hair = hair_texels(template, raster)
         self.hair = np.zeros_like(ahead) if hair is None else hair
         self.forehead = ahead & ~self.hair & (above > brows.max() + CLEAR_MM[0])
@@ -69,9 +78,25 @@ class Forehead:
         if not distinct:
             return none
         nearer = (colour - 0.5 * (middles[0] + middles[1])) @ across > 0
-        hanging = seen & ((self.forehead & (nearer | other)) | self.hair)
+        # A fringe is darkest at its lower end, which also shadows the skin.
+        shadowed = colour[..., 0] < middles[1][0] - max(DARKER, -0.5 * apart[0])
+        hanging = seen & ((self.forehead & (nearer | other | shadowed)) | self.hair)
         _, label = cv2.connectedComponents(hanging.astype(np.uint8))
-        return np.asarray(hanging & self.forehead & np.isin(label, np.unique(label[hair])))
+        found = hanging & self.forehead & np.isin(label, np.unique(label[hair]))
+        # Light on hair makes it as light as a cheek: what is above hair that hangs is hair too.
+        lowest_mm = _without_gaps(np.where(found, self.height_mm, np.inf).min(axis=0))
+        return np.asarray(seen & self.forehead & (self.height_mm >= lowest_mm))
+
+
+def _without_gaps(lowest_mm: np.ndarray) -> np.ndarray:
+    """(columns,) how far hair hangs, infinite where none does: narrow gaps are bridged."""
+    hangs = np.flatnonzero(np.isfinite(lowest_mm))
+    bridged = lowest_mm.copy()
+    for left, right in itertools.pairwise(hangs):
+        if 1 < right - left <= GAP * len(lowest_mm):
+            between = np.arange(left + 1, right)
+            bridged[between] = np.interp(between, (left, right), lowest_mm[[left, right]])
+    return bridged
 
 
 def _colour(albedo: np.ndarray, seen: np.ndarray) -> np.ndarray:

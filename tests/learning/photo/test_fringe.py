@@ -50,6 +50,25 @@ def test_a_fringe_is_found_and_the_skin_below_it_stays(
     assert not found[~forehead.forehead].any()
 
 
+def test_a_fringe_in_bright_light_with_a_dark_end_is_found_whole_and_a_parting_stays_skin(
+    forehead: Forehead,
+) -> None:
+    """A highlight makes hair as light as skin, and its lower end is in its own shadow."""
+    hanging, columns = strip(forehead, 30), np.arange(ROWS * 2 // 3) - ROWS // 3
+    everything = np.ones_like(hanging)
+    albedo = painted(forehead, BLOND, hanging, np.random.default_rng(3))
+    albedo[hanging & (np.abs(columns) < 12)] = SKIN
+    albedo[hanging & ~strip(forehead, 20)] = 0.6 * np.array(SKIN)
+    found = forehead.fringe(albedo, everything, np.zeros_like(hanging))
+    assert found[hanging].mean() > 0.92
+    assert found[forehead.forehead & ~strip(forehead, 34)].mean() < 0.02
+    parted = strip(forehead, 30) & (np.abs(columns) > 22)
+    albedo = painted(forehead, BLOND, parted, np.random.default_rng(4))
+    found = forehead.fringe(albedo, everything, np.zeros_like(hanging))
+    assert found[parted].mean() > 0.9
+    assert found[hanging & (np.abs(columns) < 18)].mean() < 0.05
+
+
 def test_a_bald_head_a_lone_patch_and_a_face_without_texels_have_none(forehead: Forehead) -> None:
     rng = np.random.default_rng(2)
     nothing = np.zeros((ROWS, ROWS * 2 // 3), bool)
