@@ -28,6 +28,7 @@ from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork, face_input
 from learning.render.shading import unit
 from learning.render.uv import UvRaster, rasterise
+from learning.whole.closed_eyes import closed_eyes
 from learning.whole.detail import enlarged, with_detail
 from learning.whole.expected import doubt_of, expected_error, expected_of_refined
 from learning.whole.refine import (
@@ -47,6 +48,7 @@ from lightstage.formats.mesh import Mesh
 FRONT_Z_MM, CHIN_Y_MM, FOREHEAD_Y_MM = 40.0, -110.0, 40.0
 """Where brows, eyes and lips are, in the head frame. Hair begins elsewhere on each person, and its
 edge would hide which way up a face is."""
+CLOSED_EYES = "the eyes show no whites, so the network is not shown them; its tone is less certain"
 LEAST_TEXELS = 100
 """A head has about 4,000 at the network's size."""
 OTHER_LAYOUT = (
@@ -208,13 +210,19 @@ def run_network(
     photographed = covered & (texture.max(axis=2) > UNSEEN)
     seen = to_batch(photographed if network_sees is None else photographed & network_sees)
     small = _mean_over(to_batch(texture), seen, shape)
+    shown = (shrink(seen, shape) > 0.5).float()
     if network_sees is None:
         # Else the caller made the texture, and knows its rows: half a face may look like anything.
         _, height, depth = network.mean_position_mm.split(1, dim=1)
         front = (depth > FRONT_Z_MM) & (height > CHIN_Y_MM) & (height < FOREHEAD_Y_MM)
         require_upright(_image(small), _image(network.mean_log_albedo * front), named[0])
+        parts = (small, shown, network.mean_log_albedo, front)
+        texels, known, mean, face = (_image(part) for part in parts)
+        closed = closed_eyes(texels, known[..., 0] > 0, mean, face[..., 0])
+        if closed.any():
+            shown = shown * to_batch(~closed)
+            notes = [*notes, CLOSED_EYES]
     low_normal = _turned(unit(shrink(to_batch(normal), shape)), head_from_mesh)
-    shown = (shrink(seen, shape) > 0.5).float()
     given = face_input(small * shown, low_normal, low_position, shown)
     there = network if device == CPU else copy.deepcopy(network).to(device)
     with torch.inference_mode():
