@@ -10,6 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from learning.masks import widened
 from learning.photo.unwrap import smaller
 from learning.render.view import cast_from, scene_of
 from lightstage.formats.mesh import Mesh
@@ -46,7 +47,7 @@ def foreground(rgb_linear: np.ndarray, mesh: Mesh, face: np.ndarray, camera: Cam
     head = np.isfinite(hit["t_hit"].reshape(size[::-1]))
     sure = head.copy()
     sure[head] = face[mesh.triangles()].all(axis=1)[triangle[head]]
-    behind = ~_grown(head, _reach(head))
+    behind = ~widened(head, _reach(head))
     whole = np.ones(rgb_linear.shape[:2], bool)
     if not sure.any() or behind.mean() < LEAST_BEHIND:
         return whole
@@ -77,8 +78,3 @@ def _reach(head: np.ndarray) -> int:
     if not len(rows):
         return 1
     return max(1, round(BESIDE * max(np.ptp(rows), np.ptp(columns))))
-
-
-def _grown(mask: np.ndarray, reach: int) -> np.ndarray:
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    return np.asarray(cv2.dilate(mask.astype(np.uint8), disc) > 0)

@@ -26,10 +26,10 @@ AHEAD_MM = 30.0
 CLEAR_MM = 2.0, 8.0, 2.0
 """Above the brows, below the eyes and above the mouth, what is no part of either."""
 DARKEST = 1e-3
-LEAST_APART = 0.3
+LEAST_APART = 0.55
 """Difference of hair's and cheeks' median colours, in natural logarithms, from which they are
-distinct. A bald skull has .2 by what its light leaves, blond hair .4, dark hair on light skin 1 to
-2."""
+distinct. Four bald skulls have .3 to .5 by what their light leaves, blond hair .6, dark hair on
+light skin 1.3 to 1.9."""
 LEAST_DEVIATIONS = 4.0
 """The same in standard deviations within hair and cheeks."""
 DARKER = 0.35
@@ -49,8 +49,8 @@ class Forehead:
         place = raster.interpolate(template.mesh.vertices)
         marks = template.mesh.vertices[template.landmarks]
         brows, eyes, mouth = (marks[part, 1] for part in (BROWS, EYES, MOUTH))
-        above, ahead = place[..., 1], raster.covered & (place[..., 2] > AHEAD_MM)
-        self.height_mm = above
+        above = self.height_mm = place[..., 1]
+        ahead = raster.covered & (place[..., 2] > AHEAD_MM)
         hair = hair_texels(template, raster)
         self.hair = np.zeros_like(ahead) if hair is None else hair
         self.forehead = ahead & ~self.hair & (above > brows.max() + CLEAR_MM[0])
@@ -84,11 +84,11 @@ class Forehead:
         _, label = cv2.connectedComponents(hanging.astype(np.uint8))
         found = hanging & self.forehead & np.isin(label, np.unique(label[hair]))
         # Light on hair makes it as light as a cheek: what is above hair that hangs is hair too.
-        lowest_mm = _without_gaps(np.where(found, self.height_mm, np.inf).min(axis=0))
+        lowest_mm = _bridged(np.where(found, self.height_mm, np.inf).min(axis=0))
         return np.asarray(seen & self.forehead & (self.height_mm >= lowest_mm))
 
 
-def _without_gaps(lowest_mm: np.ndarray) -> np.ndarray:
+def _bridged(lowest_mm: np.ndarray) -> np.ndarray:
     """(columns,) how far hair hangs, infinite where none does: narrow gaps are bridged."""
     hangs = np.flatnonzero(np.isfinite(lowest_mm))
     bridged = lowest_mm.copy()

@@ -75,7 +75,13 @@ LARGEST_OFF = 10.0
 
 
 class Picture:
-    """A photograph as the fit compares it: the logarithm of its light, blurred, and its slopes."""
+    """A photograph as the fit compares it: the logarithm of its light, blurred, and its slopes.
+
+    Attributes:
+        light: (h, w) linear luminance.
+        clipped_from: value of a channel from which it may be clipped.
+        clipped: (h, w) 0..1, share of such pixels, blurred likewise.
+    """
 
     def __init__(self, rgb_linear: np.ndarray, sigma_px: float) -> None:
         """(h, w, 3) and the standard deviation of the blur."""
@@ -283,7 +289,7 @@ class PixelFit:
         texture = np.nan_to_num(unwrapped.texture[covered].astype(float))
         shows_light = texture.max(axis=1) < picture.clipped_from
         surface = LitSurface(mesh, raster, camera.centre_mm)
-        search = LightFit(surface, texture, counts[covered] * shows_light)
+        search = LightFit(surface, texture, (counts[covered] * shows_light).astype(float))
         light = self._lamps[index]
         if light is None:
             until = time.monotonic() + LIGHT_SECONDS

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from learning.masks import widened
 from learning.networks.whole_face import DARKEST, WholeFaceNetwork
 from learning.photo.face_light import harmonics
 from learning.render.uv import UvRaster
@@ -156,6 +157,4 @@ def mean_around(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 def spread(mask: np.ndarray, share: float) -> np.ndarray:
     """(rows, columns) bool, a mask of that shape and what is within this share of its rows."""
-    reach = max(1, round(share * len(mask)))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    return np.asarray(cv2.dilate(mask.astype(np.uint8), disc) > 0)
+    return widened(mask, max(1, round(share * len(mask))))

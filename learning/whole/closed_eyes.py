@@ -8,8 +8,9 @@ far too light.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
+
+from learning.masks import widened
 
 LESS_RED = 0.3
 """Logarithm of red over blue, below the face's median, from which the mean person shows a white."""
@@ -42,7 +43,7 @@ def closed_eyes(
         return none
     mean_red = mean_log_albedo[..., 0] - mean_log_albedo[..., 2]
     whites = face & (mean_red < np.median(mean_red[face]) - LESS_RED)
-    beside = _widened(whites, AROUND) & ~_widened(whites, CLOSE) & seen
+    beside = widened(whites, AROUND) & ~widened(whites, CLOSE) & seen
     shown = whites & seen
     if min(shown.sum(), beside.sum()) < FEWEST_TEXELS:
         return none
@@ -50,10 +51,4 @@ def closed_eyes(
     red = light[..., 0] - light[..., 2]
     if red[beside].mean() - red[shown].mean() >= LEAST_CONTRAST:
         return none
-    return _widened(whites, LID)
-
-
-def _widened(mask: np.ndarray, texels: int) -> np.ndarray:
-    """(h, w) bool, a mask and so many texels around it."""
-    kernel = np.ones((2 * texels + 1, 2 * texels + 1), np.uint8)
-    return np.asarray(cv2.dilate(mask.astype(np.uint8), kernel) > 0)
+    return widened(whites, LID)

@@ -94,7 +94,7 @@ def infer_whole_face(
             leaves more than a true one.
         network_sees: (rows, columns) bool, texels that the network is shown, which decide the
             light and the tone; all that are photographed where None. A texture of which these are
-            stated is not examined for rows in reverse order.
+            stated is not examined for rows in reverse order and closed eyes.
         own: with refinement, what of the texture is the skin's own.
 
     Returns:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from learning.masks import widened
 from learning.networks.whole_face import DARKEST
 
 DARK_LIGHT = 0.02
@@ -99,8 +100,7 @@ def misplaced(ratio: np.ndarray, edges: np.ndarray, known: np.ndarray) -> np.nda
     """
     rows, columns = ratio.shape[:2]
     reach = max(1, round(NEAR_SHARE * edges.shape[0]))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    near = cv2.resize(cv2.dilate(edges.astype(np.uint8), disc), (columns, rows)) > 0
+    near = cv2.resize(widened(edges, reach).astype(np.uint8), (columns, rows)) > 0
     # Over a few texels, so that single hairs and pores stay.
     off = cv2.GaussianBlur(np.log(ratio).mean(axis=2), (0, 0), max(1.0, rows / 768))
     tone = np.median(off[known]) if known.any() else 0.0
