@@ -261,6 +261,14 @@ def train(
             "all people are lit around it."
         ),
     ] = None,
+    begin_with: Annotated[
+        str | None,
+        typer.Option(
+            help="A run whose weights this one begins with, or `shipped`: the weights that come "
+            "with the project; random ones else.",
+            metavar="<path>",
+        ),
+    ] = None,
     as_json: bool = JsonFlag,
 ) -> None:
     """Train a network on a dataset; some people are held out and scored."""
@@ -285,6 +293,7 @@ def train(
                 processes,
                 consents,
                 environment,
+                begin_with,
             )
     except KeyboardInterrupt:
         if not processes.first:
@@ -292,7 +301,7 @@ def train(
         given = {"--data": data, "--out": out, "--preset": preset, "--config": config}
         given |= {"--seconds": seconds, "--seed": seed, "--device": device}
         given |= {"--consents": consents, "--environment": environment}
-        raise stopped_training(out, given, processes) from None
+        raise stopped_training(out, given, processes, begin_with) from None
     if not processes.first:
         return
     for warning in facts["warnings"]:

@@ -61,6 +61,7 @@ class Checkpoint:
         metrics: when it was saved.
         step_seconds: what these steps took.
         files: role (generator, generators or network; average; training) to {name, sha256}.
+        began_with: `files` of the run whose networks it began with; empty where these were random.
     """
 
     folder: Path
@@ -74,6 +75,7 @@ class Checkpoint:
     metrics: dict[str, float]
     step_seconds: float
     files: dict[str, dict[str, str]]
+    began_with: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
 
 
 def save_checkpoint(
@@ -165,6 +167,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
                 }
                 for role, f in value["files"].items()
             },
+            dict(value.get("began_with", {})),
         )
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise CheckpointError(

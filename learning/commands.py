@@ -66,6 +66,8 @@ from processing.dataset import open_store, read_head_pose
 
 DEFAULT_RIG_SCALE = 1080 / 6016
 """Without a rig, pictures are 720 x 1080 pixels."""
+SHIPPED = "shipped"
+"""For `train --begin-with`, in place of a run's folder."""
 NONE = "none"
 """For `infer --mesostructure`, in place of a run's folder."""
 REFINE_SECONDS = 60.0
@@ -220,6 +222,7 @@ def train_command(
     processes: Processes = ALONE,
     consents: Path | None = None,
     environment: Path | None = None,
+    begin_with: str | None = None,
 ) -> dict[str, Any]:
     """Train, as one of the processes; returns the facts."""
     device = choose_device(device_name, processes.local_rank)
@@ -237,7 +240,16 @@ def train_command(
     store = open_store(data)
     require_consents(consents, "training", store.consents)
     with joined(processes, device), memory_of(device, out, _smaller_batch(resolved.batch)):
-        result = train(store, out, resolved, resume, progress, device, processes)
+        result = train(
+            store,
+            out,
+            resolved,
+            resume,
+            progress,
+            device,
+            processes,
+            begin_with=_run_to_begin_with(begin_with, resolved.family, resume),
+        )
     return {
         "steps": result.steps,
         "steps_of_earlier_calls": result.first,
@@ -253,6 +265,34 @@ def train_command(
         "step_seconds": result.step_seconds,
         "warnings": list(filter(None, [not_better(result.score)])),
     }
+
+
+def _run_to_begin_with(given: str | None, family: str, resume: bool) -> Path | None:
+    """The option --begin-with: the run's folder, of the shipped weights too."""
+    if given is None:
+        return None
+    if resume:
+        raise ConfigError(
+            "--begin-with",
+            found=f"{given}, with --resume",
+            expected="one of the two",
+            hint="A run that is resumed continues with its own weights.",
+        )
+    if given != SHIPPED:
+        return Path(given)
+    shipped = {
+        "whole_face": shipped_weights,
+        "super_resolution": shipped_super_resolution,
+        "mesostructure": shipped_mesostructure,
+    }
+    if family not in shipped:
+        raise ConfigError(
+            "--begin-with",
+            found=f"{SHIPPED}, for a network of the family {family!r}",
+            expected=f"a run's folder, or a --preset of {', '.join(shipped)}",
+            hint="No weights of this family are shipped.",
+        )
+    return shipped[family]()
 
 
 def trained_line(facts: Mapping[str, Any]) -> str:

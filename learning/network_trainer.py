@@ -94,6 +94,12 @@ class NetworkTrainer(Trainer[ConfigT, BatchT], Generic[ConfigT, BatchT, NetworkT
             state[AVERAGE] = dict(self.average.state_dict())
         return state
 
+    def begin_with(self, weights: dict[str, Tensor], where: Path) -> None:
+        """See `Trainer`."""
+        fill(self.network, weights, where)
+        if self.average is not None:
+            fill(self.average, weights, where)
+
     def take_over(self, saved: dict[str, dict[str, Tensor]], where: Path) -> None:
         """See `Trainer`."""
         fill(self.network, saved["network"], where)

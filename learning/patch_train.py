@@ -30,6 +30,7 @@ class PatchTrainer(Trainer[TrainConfig, Batch]):
 
     watched = "error"
     renders = True
+    role = "generator"
 
     def __init__(
         self,
@@ -152,6 +153,12 @@ class PatchTrainer(Trainer[TrainConfig, Batch]):
         if self.average is not None:
             state[AVERAGE] = dict(self.average.state_dict())
         return state
+
+    def begin_with(self, weights: dict[str, Tensor], where: Path) -> None:
+        """See `Trainer`."""
+        fill(self.generator, weights, where)
+        if self.average is not None:
+            fill(self.average, weights, where)
 
     def take_over(self, saved: dict[str, dict[str, Tensor]], where: Path) -> None:
         """See `Trainer`."""

@@ -131,6 +131,7 @@ class Run:
         clock: of this call's steps. What makes batches and renders counts its own parts on it; what
             is left of a step counts as the network's.
         shadows: folder of baked shadows that trainings share; None where each bakes its own.
+        anew: whether its networks began with random weights, and not with another run's.
     """
 
     out: Path
@@ -143,6 +144,7 @@ class Run:
     events: EventFile | None = None
     clock: Clock = dataclasses.field(default_factory=Clock)
     shadows: Path | None = None
+    anew: bool = True
 
     def steps(self, learner: Learner, total: int, progress: ProgressCallback = quiet) -> int:
         """Train until the steps or the seconds are used up; returns the steps done in all.
@@ -351,6 +353,7 @@ def begin(
     load: Callable[[Checkpoint], None],
     processes: Processes = ALONE,
     shadows: Path | None = None,
+    other: Checkpoint | None = None,
 ) -> Run:
     """Begin a run in a folder, or resume the one that is there.
 
@@ -363,12 +366,14 @@ def begin(
         load: takes over the state of the checkpoint that is resumed.
         processes: that train together.
         shadows: folder of baked shadows that trainings share; None where each bakes its own.
+        other: the run with whose weights this one begins.
 
     Raises:
         CheckpointError: nothing to resume, another configuration or other data; or, without
             `resume`, a run that is there already.
     """
     began, first, spent = time.monotonic(), 0, 0.0
+    began_with = {} if other is None else other.files
     if resume:
         if not (out / INDEX).exists():
             raise CheckpointError(
@@ -381,6 +386,7 @@ def begin(
         require_same_run(checkpoint, config, store)
         load(checkpoint)
         first, spent = checkpoint.step, checkpoint.step_seconds
+        began_with = checkpoint.began_with
     elif processes.first or (out / INDEX).exists():
         require_new(out, "Resume it with --resume, or choose another --out.")
     about = {
@@ -391,7 +397,20 @@ def begin(
         "texture_rows": config.rows_shown(store.scans[0].rows),
         "metrics": {},
     }
-    return Run(out, config, about, first, began, spent, processes, EventFile(out), shadows=shadows)
+    if began_with:
+        about["began_with"] = began_with
+    return Run(
+        out,
+        config,
+        about,
+        first,
+        began,
+        spent,
+        processes,
+        EventFile(out),
+        shadows=shadows,
+        anew=not (resume or began_with),
+    )
 
 
 def not_better(score: Scored) -> str:

@@ -12,7 +12,10 @@ from lightstage.resume_line import shell_line
 
 
 def stopped_training(
-    out: Path, options: Mapping[str, object], processes: Processes
+    out: Path,
+    options: Mapping[str, object],
+    processes: Processes,
+    begin_with: str | None = None,
 ) -> StoppedError:
     """The last words of an interrupted `train`.
 
@@ -20,6 +23,7 @@ def stopped_training(
         out: the run's folder.
         options: that the command was given, by name; those that are None were not.
         processes: that trained together.
+        begin_with: the option --begin-with, of which a run that is resumed has no need.
 
     Raises:
         CheckpointError, FormatError: the run's checkpoint is damaged.
@@ -31,6 +35,7 @@ def stopped_training(
     for name, value in options.items():
         words += [] if value is None else [name, str(value)]
     if not (out / INDEX).exists():
+        words += [] if begin_with is None else ["--begin-with", begin_with]
         return StoppedError(
             f"Interrupted before the first checkpoint: no step is kept in {out}. "
             f"Begin again with: {shell_line(*words)}"

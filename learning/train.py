@@ -8,8 +8,10 @@ from typing import Any
 
 import torch
 
+from learning.checkpoint import INDEX, Checkpoint, read_checkpoint, trained_tensors
 from learning.config import TrainingConfig
 from learning.devices import CPU
+from learning.errors import CheckpointError
 from learning.four.config import FourTrainConfig
 from learning.four.train import FourTrainer
 from learning.limits import require_within
@@ -26,6 +28,7 @@ from learning.upscale.train import UpscaleTrainer, upscale_task
 from learning.whole.config import WholeTrainConfig
 from learning.whole.train import WholeFaceTrainer, face_task
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.counting import counted
 from processing.dataset import Store
 
 TRAINERS: dict[str, tuple[type[Trainer[Any, Any]], Callable[..., Task[Any, Any]]]] = {
@@ -39,6 +42,44 @@ TRAINERS: dict[str, tuple[type[Trainer[Any, Any]], Callable[..., Task[Any, Any]]
 people trained on, people held out, and the run that has begun."""
 
 
+def weights_of(
+    path: Path, trainer: Trainer[Any, Any], store: Store, held_out: set[str]
+) -> Checkpoint:
+    """Another run, whose networks a trainer begins with.
+
+    Args:
+        path: of the run.
+        trainer: takes its networks.
+        store: the new run's data.
+        held_out: people who are to be scored, and not trained on.
+
+    Raises:
+        CheckpointError: networks of another family or size, or trained on people of this store who
+            are held out now.
+    """
+    other = read_checkpoint(path)
+    family, where = trainer.config.family, other.folder / INDEX
+    if other.family != family:
+        raise CheckpointError(
+            where,
+            field="family",
+            found=other.family,
+            expected=f"{family}, the given preset's",
+            hint="Begin with a run of the same family, or choose its --preset.",
+        )
+    known = sorted(held_out - set(other.held_out))
+    if known and other.data_fingerprint == store.fingerprint:
+        raise CheckpointError(
+            where,
+            field="held_out",
+            found=f"{counted(len(known), 'person', 'people')} who were trained on: {known[0]}",
+            expected="all people who are held out now",
+            hint="Hold out no more people of this store than that run did.",
+        )
+    trainer.begin_with(trained_tensors(other, trainer.role), where)
+    return other
+
+
 def train(
     store: Store,
     out: Path,
@@ -48,6 +89,7 @@ def train(
     device: torch.device = CPU,
     processes: Processes = ALONE,
     shadows: Path | None = None,
+    begin_with: Path | None = None,
 ) -> TrainResult[Any]:
     """Train, score on the people held out, leave a checkpoint and metrics.jsonl in `out`.
 
@@ -63,6 +105,7 @@ def train(
         device: where the networks run; what they are fed with is made on the processor.
         processes: that train together, of which this is one. The batch is that of all of them.
         shadows: folder of baked shadows that trainings share; None where each bakes its own.
+        begin_with: a run, whose networks this one begins with; random weights where None.
 
     Returns:
         With the family's own figures.
@@ -70,14 +113,16 @@ def train(
     Raises:
         TrainingError: too few people or patches, or losses that are not finite.
         CheckpointError: nothing to resume, another configuration or other data; or, without
-            `resume`, a run that is there already; or another training that writes there.
+            `resume`, a run that is there already; or another training that writes there; or
+            networks to begin with that do not suit (`weights_of`).
     """
     make, task_of = TRAINERS[config.family]
     require_within(config, "training")
     held_out, trained_on = split(store, config.held_out_subjects)
     processes.share(config.batch)
     trainer = make(config, device, processes)
-    run = begin(out, config, store, held_out, resume, trainer.load, processes, shadows)
+    other = None if begin_with is None else weights_of(begin_with, trainer, store, held_out)
+    run = begin(out, config, store, held_out, resume, trainer.load, processes, shadows, other)
     trainer.clock = run.clock
     task = task_of(trainer, store, trained_on, held_out, run)
     for network in trainer.networks():

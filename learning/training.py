@@ -39,6 +39,8 @@ class Trainer(abc.ABC, Generic[ConfigT, BatchT]):
     """The loss that the guard watches."""
     renders: ClassVar[bool] = False
     """Whether a step uses the renderer, and not only what makes its batch."""
+    role: ClassVar[str] = "network"
+    """The checkpoint's role of the networks to infer with."""
 
     def __init__(
         self, config: ConfigT, device: torch.device = CPU, processes: Processes = ALONE
@@ -67,6 +69,13 @@ class Trainer(abc.ABC, Generic[ConfigT, BatchT]):
     @abc.abstractmethod
     def take_over(self, saved: dict[str, dict[str, Tensor]], where: Path) -> None:
         """Take over what `tensors` gave; CheckpointError, with `where`, when it is another's."""
+
+    @abc.abstractmethod
+    def begin_with(self, weights: dict[str, Tensor], where: Path) -> None:
+        """Take over a run's networks to infer with; CheckpointError as of `take_over`.
+
+        Optimisers, and networks that only training needs, begin anew.
+        """
 
     def load(self, checkpoint: Checkpoint) -> None:
         """Take over a checkpoint's state."""

@@ -27,7 +27,7 @@ from learning.render.kept_shadows import shadows_of_scan
 from learning.render.occlusion import DOME_MM, PositionGrid, bake_grid, openness, sharpened
 from learning.render.shading import ShadeOptions, SkinMaps, shade, unit
 from learning.render.uv import grid_quads, texel_surface
-from learning.whole.faces import read_small
+from learning.whole.face import read_small
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import Mesh
 from processing.colour import srgb_from_linear

@@ -40,6 +40,7 @@ class FourTrainer(Trainer[FourTrainConfig, Batch]):
     """Four networks with their discriminators and optimisers."""
 
     watched = "error"
+    role = GENERATORS
 
     def __init__(
         self,
@@ -108,6 +109,11 @@ class FourTrainer(Trainer[FourTrainConfig, Batch]):
             }
             for own, role in roles.items()
         }
+
+    def begin_with(self, weights: dict[str, Tensor], where: Path) -> None:
+        """See `Trainer`."""
+        for part, trainer in self.trainers.items():
+            trainer.begin_with(part_of(weights, part), where)
 
     def take_over(self, saved: dict[str, dict[str, Tensor]], where: Path) -> None:
         """See `Trainer`."""

@@ -75,6 +75,9 @@ class RandomLightConfig:
             light.
         behind: how far behind the face lights may be: largest cosine of the angle to straight
             behind.
+        backlit_share: share of the environments whose lights are all behind the face's plane, so
+            that their light grazes it.
+        unfilled_share: share of the environments without ambient light.
         camera_mm: distance of the camera in front of the face.
         position_spread: largest change of a light's distance, as a share, in the environments
             around a target.
@@ -91,6 +94,8 @@ class RandomLightConfig:
     tint: float = 0.1
     ambient_tint: float = 0.0
     behind: float = 0.2
+    backlit_share: float = 0.0
+    unfilled_share: float = 0.0
     camera_mm: float = 1100.0
     position_spread: float = 0.5
     camera_spread: float = 0.25
@@ -144,7 +149,9 @@ def random_lights(
         return moved_lights(places, rng, config.position_spread)
     if count is None:
         count = int(rng.integers(1, config.lights + 1))
-    height = rng.uniform(-config.behind, 1.0, count)
+    # Where a share is 0 nothing is drawn for it, so that trainings of before stay as they were.
+    backlit = config.backlit_share > 0 and rng.random() < config.backlit_share
+    height = rng.uniform(-config.behind, 0.0 if backlit else 1.0, count)
     turn = rng.uniform(0, 2 * np.pi, count)
     flat = np.sqrt(1 - height**2)
     direction = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
@@ -171,7 +178,8 @@ def random_environment(
     distance = np.linalg.norm(position_mm, axis=1)
     exposure = rng.uniform(*config.exposure)
     ambient = exposure * rng.uniform(*config.ambient_share)
-    if ambient_multiplies:
+    unfilled = config.unfilled_share > 0 and rng.random() < config.unfilled_share
+    if ambient_multiplies or unfilled:
         ambient = 0.0
     share = rng.uniform(0.3, 1.0, len(position_mm))
     # A face turned half to a light still receives light, so grazing ones count as 0.3: rims

@@ -51,7 +51,7 @@ def upscale_task(
     pictures = pictures_of(trained_on, config.pictures.count, config.augment)
     scans = sum(scan.subject in held_out for scan in store.scans)
     scored = pictures_of(held_out, 2 * config.score_lights * scans, config.augment.as_they_are())
-    if not run.first:
+    if run.anew:
         trainer.network.mean_srgb.copy_(pictures.mean_srgb())
 
     def finish() -> tuple[UpscaleScore, list[Sample]]:

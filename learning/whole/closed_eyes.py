@@ -27,6 +27,11 @@ DARKEST = 1e-9
 """Light below it counts as so much, since zero has no logarithm."""
 
 
+def eyes_of(mean_log_albedo: np.ndarray, face: np.ndarray) -> np.ndarray:
+    """(h, w) bool, texels that are not shown where eyes are closed; arguments of `closed_eyes`."""
+    return widened(_whites(mean_log_albedo, face), LID)
+
+
 def closed_eyes(
     texture: np.ndarray, seen: np.ndarray, mean_log_albedo: np.ndarray, face: np.ndarray
 ) -> np.ndarray:
@@ -39,10 +44,7 @@ def closed_eyes(
         face: (h, w) bool, where brows, eyes and lips are.
     """
     none = np.zeros_like(seen)
-    if not face.any():
-        return none
-    mean_red = mean_log_albedo[..., 0] - mean_log_albedo[..., 2]
-    whites = face & (mean_red < np.median(mean_red[face]) - LESS_RED)
+    whites = _whites(mean_log_albedo, face)
     beside = widened(whites, AROUND) & ~widened(whites, CLOSE) & seen
     shown = whites & seen
     if min(shown.sum(), beside.sum()) < FEWEST_TEXELS:
@@ -52,3 +54,12 @@ def closed_eyes(
     if red[beside].mean() - red[shown].mean() >= LEAST_CONTRAST:
         return none
     return widened(whites, LID)
+
+
+def _whites(mean_log_albedo: np.ndarray, face: np.ndarray) -> np.ndarray:
+    """(h, w) bool, whites of the mean person's eyes."""
+    if not face.any():
+        return np.zeros_like(face)
+    red = mean_log_albedo[..., 0] - mean_log_albedo[..., 2]
+    found: np.ndarray = face & (red < np.median(red[face]) - LESS_RED)
+    return found

@@ -18,7 +18,7 @@ from learning.clock import RENDERING, Clock
 from learning.devices import CPU, moved
 from learning.encoding import shrink
 from learning.errors import TrainingError
-from learning.maps import from_batch, to_batch, typical_texel_mm
+from learning.maps import from_batch, to_batch
 from learning.networks.whole_face import KnownPeople, WholeFaceConfig, face_input
 from learning.render.environments import (
     Environment,
@@ -27,13 +27,14 @@ from learning.render.environments import (
     random_lights,
     stack,
 )
-from learning.render.kept_shadows import KeptShadows, shadows_of_scan
-from learning.render.occlusion import DOME_MM, PositionGrid, bake_grid, openness, sharpened
+from learning.render.kept_shadows import shadows_of_scan
+from learning.render.occlusion import sharpened
 from learning.render.shading import Mode, ShadeOptions, SkinMaps, shade, unit
 from learning.render.skin import joined_skins
-from learning.render.uv import TexelSurface, texel_surface
+from learning.whole.closed_eyes import eyes_of
 from learning.whole.displacement import displaced, displacement, edges_mm
-from learning.whole.texture_layout import of_another_layout
+from learning.whole.face import Face, lit_anywhere, read_small, tensors_of
+from learning.whole.texture_layout import brows_to_lips, of_another_layout
 from lightstage.commands import ProgressCallback, quiet
 from processing.dataset import Store
 
@@ -62,6 +63,8 @@ class FacesConfig:
         partial_share: share of the pairs of which only the side toward some camera is shown.
         skin_share: share of the pairs of which only skin is shown: eyes that are closed, hair that
             was left out of a photograph.
+        closed_share: share of the pairs of which the eyes are not shown, as where they are closed
+            (`learning.whole.closed_eyes`).
         beside_skin: weight of eyes, hair and texels that were not captured, where skin has 1.
         displaced_mm: standard deviation of how far a texel shows another place of the face than
             its own, as in the texture of a photograph whose fitted shape is not the person's.
@@ -74,28 +77,9 @@ class FacesConfig:
     ggx_share: float = 0.0
     partial_share: float = 0.3
     skin_share: float = 0.0
+    closed_share: float = 0.0
     beside_skin: float = 0.1
     displaced_mm: float = 0.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Face:
-    """One scan at `FINER` times the network's size.
-
-    Attributes:
-        maps: by their names in docs/formats.md, and shape_normal, ambient_occlusion, area, edges;
-            (1, c, h, w).
-        skin: (1, 1, h, w) share of skin that was captured.
-        texel_mm: edge of a texel of area 1.
-        light_position_mm: (n, 3) of each set of lights.
-        visibility: (n, h, w) uint8, 255 = seen, of each set.
-    """
-
-    maps: dict[str, Tensor]
-    skin: Tensor
-    texel_mm: float
-    light_position_mm: list[np.ndarray]
-    visibility: list[Tensor]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -201,7 +185,7 @@ class Faces:
         try:
             baked = [
                 threads.submit(
-                    _face,
+                    lit_anywhere,
                     *read_small(store, scan.index, *size_px),
                     [random_lights(rng, lights) for _ in range(config.shadow_sets)],
                     shadows_of_scan(shadows, scan.sha256, "the surface"),
@@ -216,6 +200,9 @@ class Faces:
             threads.shutdown(cancel_futures=True)
         self._require_one_layout()
         self._placed = [moved(face, lit_on) for face in self.faces]
+        self._without_eyes = torch.ones(1)
+        if config.closed_share > 0:
+            self._without_eyes = self._not_eyes().to(lit_on)
 
     @property
     def names(self) -> list[str]:
@@ -262,6 +249,13 @@ class Faces:
             deviations,
         )
 
+    def _not_eyes(self) -> Tensor:
+        """(1, 1, rows, columns), 0 where a texture with closed eyes is not shown, 1 elsewhere."""
+        people = self.in_common(0)
+        face = from_batch(brows_to_lips(people.position_mm))
+        eyes = eyes_of(from_batch(people.log_albedo), face)
+        return to_batch(~eyes).float()
+
     def draw(self, count: int, rng: np.random.Generator, share: slice = slice(None)) -> FaceBatch:
         """A batch of random scans, or a share of it: what is drawn is the whole batch's.
 
@@ -294,7 +288,7 @@ class Faces:
         columns = round(scan.columns * rows / scan.rows)
         maps, captured = read_small(self._store, scan.index, rows, columns)
         size = (rows, columns)
-        tensors, texel_mm, surface = _tensors(maps)
+        tensors, texel_mm, surface = tensors_of(maps)
         openness = small.maps["ambient_occlusion"]
         tensors["ambient_occlusion"] = functional.interpolate(openness, size, mode="bilinear")
         for _ in range(count):
@@ -377,6 +371,8 @@ class Faces:
             flaws.append(balance * np.exp(rng.normal(0, config.noise, tuple(small.shape[1:]))))
             whole = self._shown(own, rng)
             shown.append(whole * only if rng.random() < config.skin_share else whole)
+            if config.closed_share > 0 and rng.random() < config.closed_share:
+                shown[-1] = shown[-1] * self._without_eyes
         small = small * torch.from_numpy(np.stack(flaws).astype(np.float32)).to(small)
         seen = surface * photographed * torch.cat(shown)
         small = small * seen
@@ -400,69 +396,10 @@ class Faces:
         return ((normal * toward).sum(dim=1, keepdim=True) > reach).to(normal)
 
 
-def read_small(
-    store: Store, scan: int, rows: int, columns: int
-) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """A scan's maps as means over larger texels, (rows, columns, c), and its share of skin."""
-    everything = slice(None)
-    read = {
-        name: to_batch(store.read(scan, name, everything, everything))
-        for name in (
-            "diffuse_albedo",
-            "specular_albedo",
-            "diffuse_normal",
-            "specular_normal",
-            "position",
-            "confidence",
-        )
-    }
-    captured = (read.pop("confidence") > 0).float()
-    covered = (read["position"] != 0).any(dim=1, keepdim=True).float()
-    size = (rows, columns)
-    weight = shrink(covered, size)
-    known = weight > 0.5
-
-    def mean(image: Tensor) -> np.ndarray:
-        values = shrink(image * covered, size) / weight.clamp_min(1e-3) * known
-        return np.ascontiguousarray(values[0].permute(1, 2, 0).numpy())
-
-    return {name: mean(image) for name, image in read.items()}, mean(captured)[..., 0]
-
-
-def _tensors(maps: dict[str, np.ndarray]) -> tuple[dict[str, Tensor], float, TexelSurface]:
-    """A face's maps as the renderer takes them, the edge of a texel in mm, and the surface."""
-    covered = (maps["position"] != 0).any(axis=2)
-    surface = texel_surface(maps["position"], covered, smooth_px=1.0)
-    texel_mm = typical_texel_mm(surface.area_mm2)
-    tensors = {name: to_batch(image) for name, image in maps.items()}
-    tensors["shape_normal"] = to_batch(surface.normal)
-    tensors["area"] = to_batch(surface.area_mm2 / texel_mm**2)
-    tensors["edges"] = to_batch(surface.edges_mm / texel_mm)
-    return tensors, texel_mm, surface
-
-
 def _enlarged_shadows(visibility: Tensor, size: tuple[int, int]) -> Tensor:
     """(n, h, w) uint8 of a coarser grid at another size, with edges as sharp as small lamps'."""
     seen = functional.interpolate(visibility[None].float() / 255, size, mode="bilinear")[0]
     return (255 * sharpened(seen)).to(torch.uint8)
-
-
-def _face(
-    maps: dict[str, np.ndarray],
-    skin: np.ndarray,
-    sets: list[np.ndarray],
-    kept: KeptShadows | None,
-) -> Face:
-    """A scan whose shadows of sets of (n, 3) lights are baked, or read where they are kept."""
-    tensors, texel_mm, surface = _tensors(maps)
-    covered = (maps["position"] != 0).any(axis=2)
-    grid = PositionGrid(maps["position"], surface.normal, covered, kept)
-    # All lights at once: the tree of the surface's triangles is built once.
-    baked = (255 * bake_grid(grid, np.concatenate([*sets, DOME_MM]))).astype(np.uint8)
-    *parts, dome = np.split(baked, np.cumsum([len(at) for at in sets]))
-    seen = [torch.from_numpy(part) for part in parts]
-    tensors["ambient_occlusion"] = to_batch(openness(surface.normal, dome / 255))
-    return Face(tensors, to_batch(skin), texel_mm, sets, seen)
 
 
 def _skin_maps(face: Face, variation: augment.Variation) -> SkinMaps:

@@ -40,14 +40,11 @@ from learning.whole.refine import (
     Refined,
     refine,
 )
-from learning.whole.texture_layout import FARTHEST_MM, apart_mm, known_of_both
+from learning.whole.texture_layout import FARTHEST_MM, apart_mm, brows_to_lips, known_of_both
 from lightstage.counting import counted
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 
-FRONT_Z_MM, CHIN_Y_MM, FOREHEAD_Y_MM = 40.0, -110.0, 40.0
-"""Where brows, eyes and lips are, in the head frame. Hair begins elsewhere on each person, and its
-edge would hide which way up a face is."""
 CLOSED_EYES = "the eyes show no whites, so the network is not shown them; its tone is less certain"
 LEAST_TEXELS = 100
 """A head has about 4,000 at the network's size."""
@@ -213,8 +210,7 @@ def run_network(
     shown = (shrink(seen, shape) > 0.5).float()
     if network_sees is None:
         # Else the caller made the texture, and knows its rows: half a face may look like anything.
-        _, height, depth = network.mean_position_mm.split(1, dim=1)
-        front = (depth > FRONT_Z_MM) & (height > CHIN_Y_MM) & (height < FOREHEAD_Y_MM)
+        front = brows_to_lips(network.mean_position_mm)
         require_upright(_image(small), _image(network.mean_log_albedo * front), named[0])
         parts = (small, shown, network.mean_log_albedo, front)
         texels, known, mean, face = (_image(part) for part in parts)

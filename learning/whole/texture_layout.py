@@ -8,6 +8,14 @@ from torch import Tensor
 FARTHEST_MM = 20.0
 """Mean distance of a head's texels from those of the mean person. Our people have 3 to 9 once they
 are aligned, a texture that is flipped or turned has 78 to 99, one in our layout of before 32."""
+FRONT_Z_MM, CHIN_Y_MM, FOREHEAD_Y_MM = 40.0, -110.0, 40.0
+"""Where brows, eyes and lips are, in the head frame. Hair begins elsewhere on each person."""
+
+
+def brows_to_lips(position_mm: Tensor) -> Tensor:
+    """(n, 1, h, w) bool, where brows, eyes and lips are, of (n, 3, h, w) in the head frame."""
+    _, height, depth = position_mm.split(1, dim=1)
+    return (depth > FRONT_Z_MM) & (height > CHIN_Y_MM) & (height < FOREHEAD_Y_MM)
 
 
 def known_of_both(position_mm: Tensor, mean_mm: Tensor) -> Tensor:

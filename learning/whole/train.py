@@ -106,9 +106,11 @@ def face_task(
 
     faces = faces_of(trained_on, config.faces, config.augment, trainer.device)
     # Scored are people as they are, and all of their faces, in place.
-    whole = dataclasses.replace(config.faces, partial_share=0.0, skin_share=0.0, displaced_mm=0.0)
+    whole = dataclasses.replace(
+        config.faces, partial_share=0.0, skin_share=0.0, closed_share=0.0, displaced_mm=0.0
+    )
     scored = faces_of(held_out, whole, config.augment.as_they_are())
-    if not run.first:
+    if run.anew:
         trainer.network.set_people(faces.in_common(config.network.modes))
 
     def finish() -> tuple[FaceScore, list[Sample]]:
