@@ -16,7 +16,7 @@ import numpy as np
 from learning.networks.generator import GeneratorConfig
 from learning.networks.whole_face import WholeFaceConfig
 from learning.photo.config import FitConfig
-from learning.render.environments import TargetLight
+from learning.render.environments import RandomLightConfig, TargetLight
 from learning.render.occlusion_network import ROWS_MULTIPLE, OcclusionNetworkConfig
 from learning.upscale.network import RcanConfig
 from lightstage.counting import counted
@@ -185,6 +185,8 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
             require_within(value, where, name)
         elif value is not None and not isinstance(value, bool | str):
             _require(value, name, where)
+    if isinstance(config, RandomLightConfig):
+        _require_behind(config, where, table)
     if isinstance(config, WholeFaceConfig):
         _require_halvings(config, where)
     if isinstance(config, RcanConfig):
@@ -240,6 +242,17 @@ def _require_target(light: TargetLight, where: str | Path, table: str) -> None:
             field=f"{table}.rgb",
             found=f"{values.min():g} to {values.max():g}",
             expected=f"{low:g} to {high:g}",
+        )
+
+
+def _require_behind(config: RandomLightConfig, where: str | Path, table: str) -> None:
+    """Environments that are lit from behind alone need lights that may be there."""
+    if config.backlit_share > 0 and config.behind <= 0:
+        raise ConfigError(
+            where,
+            field=f"{table}.backlit_share",
+            found=f"{config.backlit_share:g}, with {table}.behind = {config.behind:g}",
+            expected="0, or lights.behind more than 0",
         )
 
 

@@ -15,7 +15,12 @@ from learning.losses import rendering_loss
 from learning.patch_config import TrainConfig
 from learning.patch_light import ScanLight, Scene, groups_around, target_environment
 from learning.presets import preset
-from learning.render.environments import Environment, RandomLightConfig, random_lights
+from learning.render.environments import (
+    Environment,
+    RandomLightConfig,
+    random_environment,
+    random_lights,
+)
 from learning.render.occlusion import PositionGrid
 from learning.render.shading import ShadeOptions, shade
 from processing.dataset import open_store
@@ -192,3 +197,32 @@ def test_random_lights_are_as_many_as_asked_for() -> None:
     rng = np.random.default_rng(0)
     assert {len(random_lights(rng, LIGHTS)) for _ in range(50)} == {1, 2, 3}
     assert {len(random_lights(rng, LIGHTS, 3)) for _ in range(20)} == {3}
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_share_of_the_environments_is_lit_from_behind_alone(share: float) -> None:
+    config = RandomLightConfig(behind=0.6, backlit_share=share)
+    rng, count = np.random.default_rng(0), 1000
+    drawn = [random_lights(rng, config, 2) for _ in range(count)]
+    depth = np.array([places[:, 2] / np.linalg.norm(places, axis=1) for places in drawn])
+    assert depth.min() >= -0.6 - 1e-12
+    # Two of any place are both behind in (.6 / 1.6) squared of all draws.
+    expected = share + (1 - share) * (0.6 / 1.6) ** 2
+    assert abs((depth < 0).all(axis=1).mean() - expected) < 4 * (0.25 / count) ** 0.5
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_share_of_the_environments_has_no_ambient_light_and_the_same_exposure(
+    share: float,
+) -> None:
+    exposure = (0.5, 0.500001)
+    config = RandomLightConfig(unfilled_share=share, exposure=exposure, ambient_share=(0.2, 0.4))
+    rng, count = np.random.default_rng(0), 400
+    place = np.array([[0.0, 0.0, 1000.0]])
+    drawn = [random_environment(rng, config, place) for _ in range(count)]
+    ambient = np.array([each.ambient_rgb.mean().item() for each in drawn])
+    assert abs((ambient == 0).mean() - share) < 4 * (0.25 / count) ** 0.5
+    plain = dataclasses.replace(config, tint=0.0)
+    even = [random_environment(rng, plain, place) for _ in range(20)]
+    total = [float((each.rgb[0, 0] + each.ambient_rgb[0]).mean()) for each in even]
+    np.testing.assert_allclose(total, 0.5, atol=1e-5)

@@ -161,10 +161,11 @@ def test_an_interrupt_before_the_first_step_reports_that_nothing_is_kept(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out, words = asked(store_path, tmp_path / "run", TINY["whole_face"])
-    monkeypatch.setattr("learning.train.begin", stop)
-    code, _, errors = train(*words)
+    monkeypatch.setattr("learning.train.weights_of", stop)
+    code, _, errors = train(*words, "--begin-with", "shipped")
     assert code == 130
     assert f"no step is kept in {out}. Begin again with: lightstage-learning train" in last(errors)
+    assert "--begin-with shipped" in last(errors)
     assert "--resume" not in errors
 
 

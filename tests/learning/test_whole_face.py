@@ -124,6 +124,21 @@ def test_a_pair_without_eyes_and_hair_shows_skin_alone(store_path: Path) -> None
     assert torch.equal(batch.weight, whole.weight)
 
 
+def test_a_pair_with_closed_eyes_is_not_shown_the_whites_that_inference_hides(
+    store_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hidden = np.zeros((48, 32), bool)
+    hidden[20:24, 10:15] = True
+    monkeypatch.setattr("learning.whole.faces.eyes_of", lambda *_: hidden)
+    whole, batch = (
+        faces_of(store_path, config).batch([1], np.random.default_rng(3))
+        for config in (PLAIN, dataclasses.replace(PLAIN, closed_share=1.0))
+    )
+    assert not batch.inputs[0, [0, 1, 2, 9]][:, hidden].any()
+    assert torch.equal(batch.inputs[:, :, ~hidden], whole.inputs[:, :, ~hidden])
+    assert torch.equal(batch.weight, whole.weight)
+
+
 def test_eyes_and_hair_have_a_gain_of_their_own_and_skin_keeps_its_complexion() -> None:
     albedo = torch.rand(1, 3, 6, 4, generator=torch.Generator().manual_seed(0))
     skin = torch.zeros(1, 1, 6, 4, dtype=torch.bool)
