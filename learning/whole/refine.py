@@ -33,6 +33,7 @@ from learning.whole.unlit import (
     matt,
     misplaced,
     over_light,
+    trusted,
 )
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
@@ -80,13 +81,16 @@ class OwnShares:
             it is, and continued among them alone; None where they are like all others.
         hidden: (rows, columns) bool, texels of which nothing is the skin's own, such as those under
             a fringe; none where None.
+        normals_off: standard deviation of the shape's normals, radians along each axis. Where light
+            grazes the skin, marks and detail count for less the more they are off (`trusted`).
     """
 
-    marks: float = 0.6
-    detail: float = 1.0
+    marks: float = 0.4
+    detail: float = 0.75
     whole: np.ndarray | None = None
     hair: np.ndarray | None = None
     hidden: np.ndarray | None = None
+    normals_off: float = 0.05
 
 
 OF_TRUE_SHAPES = OwnShares()
@@ -191,25 +195,27 @@ def refine(
     low_albedo[here] = skin.albedo(found.along)
     answer = dataclasses.replace(answer, specular=found.gloss * answer.specular)
     followed = _Followed(mesh, raster, light, fit, here, camera_mm)
-    unlit, known, lit = followed.taken_out(texture, photographed, answer.specular, low_albedo)
+    taken = followed.taken_out(texture, photographed, answer.specular, low_albedo, own.normals_off)
+    unlit, known, lit, trust = taken
     if own.hair is not None:
         # Black hair is no shadow, and hair of another colour not out of place.
         known = np.where(own.hair, lit, known)
     if own.whole is not None:
         # A dark iris is no shadow, and has its own colour in place of the mean person's.
         known |= own.whole & photographed
+        trust = np.where(own.whole, 1.0, trust)
     if own.hidden is not None:
         known &= ~own.hidden
     normals = None
     if mesostructure is not None and len(texture) >= mesostructure.least_rows:
         skin_known = known if own.hair is None else known & ~own.hair
-        found_there = find(mesostructure, unlit, skin_known, followed.slope(), followed.level)
+        found_there = find(mesostructure, unlit, skin_known, followed.slope, followed.level)
         unlit = np.clip(unlit * np.exp(-found_there.shading), DARKEST, 1.0)
         frame = followed.frame if followed.raster is raster else _frame(mesh, raster)
         tilts = (found_there.diffuse_tilt, found_there.specular_tilt)
         normals = (frame.tilted(tilts[0]), frame.tilted(tilts[1]))
     sides = sides_mirror(network.mean_position_mm[0].permute(1, 2, 0).numpy())
-    albedo = _with_marks(low_albedo, unlit, known, raster.covered, sides, own)
+    albedo = _with_marks(low_albedo, unlit, known, raster.covered, sides, own, trust)
     deviation = np.zeros(here.shape)
     deviation[here] = log_deviation(skin.modes, found.covariance)
     return Refined(albedo, known, _light_set(light), deviation, normals)
@@ -303,23 +309,31 @@ class _Followed:
         photographed: np.ndarray,
         specular: np.ndarray,
         low_albedo: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(rows, columns, 3) a texture over its light, where that shows the skin, and where light.
+        normals_off: float,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """A texture over its light, where that shows the skin, where light, and how far it is so.
 
         Args:
             texture: (rows, columns, 3) linear.
             photographed: (rows, columns) bool.
             specular: (h, w) albedo.
             low_albedo: (h, w, 3) diffuse albedo found so far.
+            normals_off: see `OwnShares`.
+
+        Returns:
+            (rows, columns, 3); (rows, columns) bool, twice; and (rows, columns) `trusted`.
         """
         rows, columns = photographed.shape
         covered = self.raster.covered
         edges = light_edges(self.level, covered)
         known = lit_enough(self.level, covered) & ~edges
-        irradiance, lobe = self._irradiance, self._lobe
+        median = np.median(self.level[covered]) if covered.any() else 0.0
+        level = self.level / max(float(median), DARK_LIGHT)
+        images = self._irradiance, self._lobe, self.slope, level
         if covered.shape != (rows, columns):
-            irradiance, lobe = (enlarged(image, rows, columns) for image in (irradiance, lobe))
+            images = tuple(enlarged(image, rows, columns) for image in images)
             known = enlarged(known.astype(np.float32), rows, columns) > 0.999
+        irradiance, lobe, slope, level = images
         shine = enlarged(specular, rows, columns)[..., None] * lobe
         unlit = over_light(texture, irradiance, shine)
         skin = np.exp(enlarged(np.log(low_albedo), rows, columns))
@@ -328,13 +342,15 @@ class _Followed:
         known = lit & matt(texture, shine) & ~dark
         # The border of a shadow that the model does not have is an edge, too.
         edges |= cv2.resize(dark.astype(np.uint8), edges.shape[::-1]) > 0
-        return unlit, known & ~misplaced(unlit / skin, edges, known), lit
+        known &= ~misplaced(unlit / skin, edges, known)
+        return unlit, known, lit, trusted(texture, shine, level, slope, normals_off)
 
     @functools.cached_property
     def frame(self) -> Frame:
         """Directions at each of its texels."""
         return _frame(self._mesh, self.raster)
 
+    @functools.cached_property
     def slope(self) -> np.ndarray:
         """How the light changes with a tilt, see `slope_of`."""
         covered = self.raster.covered
@@ -358,6 +374,7 @@ def _with_marks(
     covered: np.ndarray,
     sides: bool,
     own: OwnShares,
+    trust: np.ndarray | float = 1.0,
 ) -> np.ndarray:
     """The albedo at a texture's own size.
 
@@ -368,9 +385,10 @@ def _with_marks(
         covered: (rows, columns) bool, where a surface is.
         sides: see `without_gaps`.
         own: what of the texture is the skin's own.
+        trust: (rows, columns) share of it that is believed, texel by texel.
     """
     base = enlarged(np.log(low_albedo), *known.shape)
-    beside = np.log(unlit) - base
+    beside = (np.log(unlit) - base) * np.broadcast_to(trust, known.shape)[..., None]
     skin = known if own.hair is None else known & ~own.hair
     filled = without_gaps(beside, skin, covered, sides)
     size = (low_albedo.shape[0], low_albedo.shape[1])

@@ -21,6 +21,14 @@ BLACK = 0.05
 has a seventh of it."""
 MOST_SHINE = 0.35
 """Share of a texture's value, in any channel, above which a highlight hides the skin."""
+SHINE_OFF = 0.5
+"""Standard deviation of a highlight that was found, as a share of it: lamps are no points, and skin
+is not as rough everywhere."""
+LIGHT_OFF = 0.04
+"""Standard deviation of the irradiance that was found, of its median: what skin sends to skin, and
+light that is not even from everywhere, are not in it."""
+OWN_DEVIATION = 0.1
+"""Standard deviation of the logarithm of what a skin is beside those that people have in common."""
 TINY = 1e-9
 """Mirrored light, against division by zero."""
 EDGE_SHARE = 1 / 384
@@ -46,10 +54,46 @@ def over_light(texture: np.ndarray, irradiance: np.ndarray, shine: np.ndarray) -
         the highlight is taken out as a matt texel has at most: a highlight that is less wide or
         elsewhere in the photograph would leave it black.
     """
+    matte = texture - _most_shine(texture, shine) * shine
+    return np.clip(matte / np.maximum(irradiance, DARK_LIGHT), DARKEST, 1.0).astype(np.float32)
+
+
+def _most_shine(texture: np.ndarray, shine: np.ndarray) -> np.ndarray:
+    """(rows, columns, 1) share of a highlight that a matt texel has at most."""
     most = MOST_SHINE * np.maximum(texture, 0)
     share = np.min(most / np.maximum(shine, TINY), axis=2, keepdims=True)
-    matte = texture - np.minimum(share, 1.0) * shine
-    return np.clip(matte / np.maximum(irradiance, DARK_LIGHT), DARKEST, 1.0).astype(np.float32)
+    return np.asarray(np.minimum(share, 1.0))
+
+
+def trusted(
+    texture: np.ndarray,
+    shine: np.ndarray,
+    level: np.ndarray,
+    slope: np.ndarray,
+    normals_off: float,
+) -> np.ndarray:
+    """How far a texture over its light is believed where it is not as people's skins are.
+
+    What it is beside them is in part the skin's own, of deviation `OWN_DEVIATION`, and in part the
+    error of the light that was divided by. Where light grazes the skin, normals that are a little
+    off change it much; where it is mirrored, a highlight that is a little off changes what is
+    left; and where there is little light, a little more changes it much. The best linear estimate of the skin's own part is the share of its variance in both.
+
+    Args:
+        texture: (rows, columns, 3) linear.
+        shine: (rows, columns, 3) what is mirrored.
+        level: (rows, columns) irradiance over its median.
+        slope: (rows, columns, 2) change of the logarithm of the irradiance by radian of a tilt.
+        normals_off: standard deviation of the shape's normals, radians along each axis.
+
+    Returns:
+        (rows, columns) float32, 0..1.
+    """
+    shine = _most_shine(texture, shine) * shine
+    mirrored = (shine / np.maximum(texture - shine, TINY)).max(axis=2)
+    off = normals_off**2 * np.square(slope).sum(axis=2) + (SHINE_OFF * mirrored) ** 2
+    off += np.square(LIGHT_OFF / np.maximum(level, DARK_LIGHT))
+    return (OWN_DEVIATION**2 / (OWN_DEVIATION**2 + off)).astype(np.float32)
 
 
 def matt(texture: np.ndarray, shine: np.ndarray) -> np.ndarray:

@@ -189,6 +189,23 @@ def test_shares_of_nothing_leave_the_skins_that_people_have_and_whole_texels_sta
     assert all_detail.std() < 0.5 * np.log(unlit / 0.3).std()
 
 
+def test_what_is_not_trusted_is_left_to_the_skins_that_people_have() -> None:
+    rng = np.random.default_rng(4)
+    low, everywhere = np.full((12, 8, 3), 0.3), np.ones((48, 32), bool)
+    unlit = 0.3 * np.exp(0.3 * rng.standard_normal((48, 32, 3))).clip(0.2, 3)
+    trust = np.zeros((48, 32), np.float32)
+    trust[:, :16] = 1
+
+    def beside(trust: np.ndarray | float) -> np.ndarray:
+        own = refine.OwnShares(0.5, 1.0)
+        found = refine._with_marks(low, unlit, everywhere, everywhere, False, own, trust)
+        return np.asarray(np.log(found / 0.3))
+
+    assert np.abs(beside(0.0)).max() < 1e-6
+    assert beside(trust)[:, 20:].std() < 0.1 * beside(1.0)[:, 20:].std()
+    np.testing.assert_allclose(beside(trust)[:, :12], beside(1.0)[:, :12], atol=0.05)
+
+
 def test_hair_keeps_its_colour_is_continued_in_hair_alone_and_goes_over_into_skin() -> None:
     low = np.full((24, 16, 3), 0.2)
     unlit = np.full((96, 64, 3), 0.2)

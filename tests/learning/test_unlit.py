@@ -4,9 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from learning.networks.whole_face import DARKEST
-from learning.whole.unlit import in_the_dark, light_edges, matt, misplaced, over_light
+from learning.whole.unlit import (
+    LIGHT_OFF,
+    OWN_DEVIATION,
+    SHINE_OFF,
+    in_the_dark,
+    light_edges,
+    matt,
+    misplaced,
+    over_light,
+    trusted,
+)
 
 
 def test_an_edge_of_a_shadow_is_left_out_and_a_slow_fall_is_not() -> None:
@@ -94,3 +107,50 @@ def test_black_and_negative_texels_over_any_highlight_are_the_darkest_skin() -> 
     texture[1] = -0.1
     found = over_light(texture, np.ones((2, 2, 3)), np.full((2, 2, 3), 0.5))
     np.testing.assert_array_equal(found, np.float32(DARKEST))
+
+
+def test_trust_is_the_share_of_the_skins_own_variance_in_what_is_seen_of_it() -> None:
+    """Drawn skins under a light that is wrong by a tilt and a highlight, and their regression."""
+    rng, count, normals_off = np.random.default_rng(0), 400_000, 0.06
+    texture = np.full((1, 3, 3), 0.5)
+    shine = np.zeros((1, 3, 3))
+    shine[0, 2] = 0.1
+    slope = np.array([[[0.0, 0.0], [1.2, -0.5], [0.3, 0.2]]])
+    level = np.array([[4.0, 1.0, 0.3]])
+    found = trusted(texture, shine, level, slope, normals_off)[0]
+    own = OWN_DEVIATION * rng.standard_normal(count)
+    tilt = normals_off * rng.standard_normal((count, 2))
+    highlight = SHINE_OFF * rng.standard_normal(count)
+    light = LIGHT_OFF * rng.standard_normal(count)
+    for texel in range(3):
+        mirrored = shine[0, texel, 0] / (texture - shine)[0, texel, 0]
+        seen = own + tilt @ slope[0, texel] + mirrored * highlight + light / level[0, texel]
+        assert found[texel] == pytest.approx(own @ seen / (seen @ seen), abs=0.01)
+    assert found[0] > 0.98
+    assert found[1:].max() < 0.8
+
+
+ANY = st.one_of(st.floats(-1e6, 1e6), st.sampled_from([0.0, 1e-30, 1e6, -1e6]))
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    arrays(float, (3, 2, 3), elements=ANY),
+    arrays(float, (3, 2, 3), elements=st.floats(0, 1e6)),
+    arrays(float, (3, 2), elements=st.floats(0, 1e6)),
+    arrays(float, (3, 2, 2), elements=st.floats(-3, 3)),
+    st.floats(0, 1),
+)
+def test_trust_is_between_none_and_all_whatever_is_photographed(
+    texture: np.ndarray,
+    shine: np.ndarray,
+    level: np.ndarray,
+    slope: np.ndarray,
+    normals_off: float,
+) -> None:
+    found = trusted(texture, shine, level, slope, normals_off)
+    assert ((found >= 0) & (found <= 1)).all()
+    # A tilt, a highlight or less light never adds to it.
+    assert (trusted(texture, shine, level, slope, normals_off + 0.1) <= found + 1e-6).all()
+    assert (trusted(texture, shine, 0.5 * level, slope, normals_off) <= found + 1e-6).all()
+    assert (found <= trusted(texture, 0 * shine, level, slope, normals_off) + 1e-6).all()
