@@ -27,6 +27,7 @@ from learning.whole.gaps import sides_mirror, without_gaps
 from learning.whole.light import Light, LightFit, LitSurface
 from learning.whole.together import Explained, KnownSkin, explain
 from learning.whole.unlit import (
+    DARK_LIGHT,
     in_the_dark,
     light_edges,
     lit_enough,
@@ -329,9 +330,9 @@ class _Followed:
         known = lit_enough(self.level, covered) & ~edges
         median = np.median(self.level[covered]) if covered.any() else 0.0
         level = self.level / max(float(median), DARK_LIGHT)
-        images = self._irradiance, self._lobe, self.slope, level
+        images = [self._irradiance, self._lobe, self.slope, level]
         if covered.shape != (rows, columns):
-            images = tuple(enlarged(image, rows, columns) for image in images)
+            images = [enlarged(image, rows, columns) for image in images]
             known = enlarged(known.astype(np.float32), rows, columns) > 0.999
         irradiance, lobe, slope, level = images
         shine = enlarged(specular, rows, columns)[..., None] * lobe

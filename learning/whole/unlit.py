@@ -77,7 +77,8 @@ def trusted(
     What it is beside them is in part the skin's own, of deviation `OWN_DEVIATION`, and in part the
     error of the light that was divided by. Where light grazes the skin, normals that are a little
     off change it much; where it is mirrored, a highlight that is a little off changes what is
-    left; and where there is little light, a little more changes it much. The best linear estimate of the skin's own part is the share of its variance in both.
+    left; and where there is little light, a little more changes it much. The best linear estimate
+    of the skin's own part is the share of its variance in both.
 
     Args:
         texture: (rows, columns, 3) linear.
