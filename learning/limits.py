@@ -125,6 +125,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "fit.refine_seconds": (0, 3600),
     "fit.marks_share": (0, 1),
     "fit.detail_share": (0, 1),
+    "fit.normals_off": (0, 3),
     "fit.rounds": (1, 5),
     "fit.pixel_rounds": (0, 20),
     "fit.pixel_deviation": (1e-3, 10),

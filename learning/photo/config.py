@@ -32,6 +32,8 @@ class FitConfig:
             millimetres wide and more, that is taken for the person's own: moles, stubble, brows.
             The rest is taken for light that the fitted shape did not explain.
         detail_share: the same of all that is finer.
+        normals_off: standard deviation of the fitted shape's normals, radians along each axis. Both
+            shares are less where light grazes the skin, and the more so the larger it is.
         rounds: of light, skin and mask in turns.
         pixel_rounds: of the shape from pixels and outlines after the landmarks; 0 for landmarks
             alone.
@@ -58,8 +60,9 @@ class FitConfig:
     asymmetry: float = 0.25
     expression_spread: float = 0.6
     refine_seconds: float = 20.0
-    marks_share: float = 0.2
+    marks_share: float = 0.4
     detail_share: float = 0.75
+    normals_off: float = 0.15
     rounds: int = 2
     pixel_rounds: int = 3
     pixel_deviation: float = 0.2

@@ -163,6 +163,7 @@ def fit_head(
             _own_eyes(texels, together.source),
             hair=first.hair,
             hidden=hidden,
+            normals_off=config.normals_off,
         ),
     )
     progress(steps - 1, steps)
