@@ -1,4 +1,9 @@
-"""Settings that no stage and no calibration can work with, refused before any work begins."""
+"""Settings that no stage and no calibration can work with, refused before any work begins.
+
+The bounds are a table and no annotations of the fields, which pydantic would check: numbers without
+a row have bounds too, its message has one of two bounds, and it checks no configuration that code
+made or changed.
+"""
 
 from __future__ import annotations
 

@@ -58,8 +58,7 @@ def read_cameras_file(path: Path) -> CamerasFile:
             hint="Without --cameras, cameras are found by their serial numbers; the simulated "
             "stage prints where its file is.",
         )
-    values = read_toml(path)
-    file = make_config(CamerasFile, values, path)
+    file = make_config(CamerasFile, read_toml(path), path)
     _check_expect(f"{path}, [expect]", file.expect)
     for name in file.allow_unverifiable:
         if name not in VERIFIABLE:
@@ -70,37 +69,29 @@ def read_cameras_file(path: Path) -> CamerasFile:
                 expected=f"of {', '.join(VERIFIABLE)}",
             )
     entries = {}
-    for camera_id, value in values.get("cameras", {}).items():
-        where = f"{path}, [cameras.{camera_id}]"
-        if not isinstance(value, dict):
-            raise ConfigError(where, found=repr(value), expected="a table with port = ..")
-        entry = make_config(CameraEntry, value, where)
+    for camera_id, entry in file.cameras.items():
         _check_expect(f"{path}, [cameras.{camera_id}.expect]", entry.expect)
         if entry.virtual_folder is not None:
             folder = path.parent / entry.virtual_folder.expanduser()
             entry = dataclasses.replace(entry, virtual_folder=folder.absolute())
         if entry.driver is not None and not DRIVER.fullmatch(entry.driver):
             raise ConfigError(
-                where, field="driver", found=repr(entry.driver), expected="package.module:name"
+                path,
+                field=f"cameras.{camera_id}.driver",
+                found=repr(entry.driver),
+                expected="package.module:name",
             )
         entries[camera_id] = entry
     return dataclasses.replace(file, cameras=entries)
 
 
 def _check_expect(where: str, expect: dict[str, str]) -> None:
-    """ConfigError where a name is none of Summary's, or a value is no text."""
-    for name, value in expect.items():
+    """ConfigError where a name is none of Summary's."""
+    for name in expect:
         if name not in VERIFIABLE:
             raise ConfigError(
                 where,
                 field=name,
                 found="an unknown name",
                 expected=f"of {', '.join(VERIFIABLE)}",
-            )
-        if not isinstance(value, str):
-            raise ConfigError(
-                where,
-                field=name,
-                found=repr(value),
-                expected=f'a text, such as {name} = "{value}"',
             )

@@ -11,6 +11,7 @@ from lightstage.cameras.process import Deadlines
 from lightstage.checks.config import ChecksConfig
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config, read_toml
+from lightstage.formats.values import TOML, require_plain
 from lightstage.operator import OperatorConfig
 from lightstage.patterns import Drive
 from lightstage.preflight import PreflightConfig
@@ -107,6 +108,8 @@ def read_config(
         config = make_config(CaptureConfig, read_toml(path), path)
         if config.session.pseudonyms is not None:  # so that a session is resumed from anywhere
             table = str(path.absolute().parent / config.session.pseudonyms)
+            # Only what `make_config` reads back from the journal can be resumed.
+            require_plain({"session.pseudonyms": table}, path, TOML, ConfigError)
             session = dataclasses.replace(config.session, pseudonyms=table)
             config = dataclasses.replace(config, session=session)
     if ignore_clock:

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from lightstage.errors import FormatError, LightstageError, one_error
 from lightstage.formats.files import read_json, sha256_file, write_json
 from lightstage.formats.paths import path_inside
+from lightstage.formats.validation import validation_error
 
 SCHEMA = "lightstage.calibration-shots/1"
 NAME = "calibration.json"
@@ -136,16 +137,7 @@ def read_shots(root: Path) -> Shots:
         if any(time.tzinfo is None for time in times):
             raise ValueError("a time without its zone")
     except ValidationError as error:
-        problems: list[LightstageError] = [
-            FormatError(
-                path,
-                field=".".join(str(p) for p in e["loc"]),
-                found="no such field" if e["type"] == "missing" else repr(e["input"])[:80],
-                expected="it" if e["type"] == "missing" else e["msg"],
-            )
-            for e in error.errors()
-        ]
-        raise one_error(problems) from None
+        raise validation_error(error, path) from None
     except ValueError as error:
         raise FormatError(
             path, field="created_utc, expires_utc", found=str(error), expected="ISO 8601 with zone"

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import types
-import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from lightstage.counting import counted
 from lightstage.errors import ConfigError, LightstageError, one_error
-from lightstage.formats.values import read_toml_value
+from lightstage.formats.values import TOML, read_toml_value, require_plain
 
 T = TypeVar("T")
 MOST = 1e12
@@ -26,88 +23,23 @@ def read_toml(path: Path) -> dict[str, Any]:
 def make_config(cls: type[T], values: Mapping[str, Any], where: str | Path) -> T:
     """Build a configuration dataclass from overriding values.
 
+    Types are strict: no text is taken for a number and no number for true or false. A whole number
+    is taken for a float, a list for a tuple and a text for a path, as no file has the latter.
+
     Args:
-        cls: a frozen dataclass whose fields all have defaults; fields may be dataclasses.
+        cls: a frozen dataclass; its fields may be dataclasses, or tuples and dictionaries of them.
         values: what differs from the defaults.
         where: what to name in an error, such as the TOML file.
 
     Raises:
-        ConfigError: an unknown key, a value of another type, or one that the dataclass refuses.
+        ConfigError: unknown keys and values of another type, all in one message, or a value that
+            no file can hold, such as NaN.
+        LightstageError: what the dataclass itself refuses, in the class that it raises.
     """
-    hints = typing.get_type_hints(cls)
-    known = {f.name: f for f in dataclasses.fields(typing.cast(Any, cls))}
-    resolved: dict[str, Any] = {}
-    for key, value in values.items():
-        if key not in known:
-            raise ConfigError(
-                where,
-                field=key,
-                found="an unknown key",
-                expected=f"one of {', '.join(sorted(known))}",
-            )
-        resolved[key] = _convert(hints[key], value, where, key)
-    try:
-        return cls(**resolved)
-    except LightstageError as error:  # the dataclass does not know the file of its values
-        raise type(error)(f"{where}: {error}") from None
+    from lightstage.formats.validation import dataclass_of  # pydantic delays a command's help
 
-
-def _convert(hint: Any, value: Any, where: str | Path, key: str) -> Any:
-    """Turn a TOML value into the field's type, or raise ConfigError."""
-    if dataclasses.is_dataclass(hint) and isinstance(value, Mapping):
-        return make_config(typing.cast(type, hint), value, f"{where}, [{key}]")
-    origin = typing.get_origin(hint)
-    if origin in (typing.Union, types.UnionType):
-        options = [h for h in typing.get_args(hint) if h is not type(None)]
-        if value is None:
-            return None
-        if len(options) == 1:
-            return _convert(options[0], value, where, key)
-        return _first_that_takes(options, value, where, key)
-    if origin is typing.Literal:
-        if value not in typing.get_args(hint):
-            raise ConfigError(
-                where,
-                field=key,
-                found=repr(value),
-                expected=f"one of {', '.join(map(str, typing.get_args(hint)))}",
-            )
-        return value
-    if origin is tuple and isinstance(value, (list, tuple)):
-        inner, *rest = typing.get_args(hint)
-        if rest == [...]:
-            kinds: Sequence[Any] = [inner] * len(value)
-        else:
-            kinds = [inner, *rest]
-        if len(value) != len(kinds):
-            found, expected = counted(len(value), "value"), counted(len(kinds), "value")
-            raise ConfigError(where, field=key, found=found, expected=expected)
-        return tuple(
-            _convert(kind, each, where, f"{key}[{index}]")
-            for index, (kind, each) in enumerate(zip(kinds, value, strict=True))
-        )
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        if abs(value) > 10**300:
-            raise ConfigError(where, field=key, found="a number too large", expected="float")
-        return float(value)
-    if hint is Path and isinstance(value, str):
-        return Path(value)
-    plain = origin or hint
-    wrong_bool = isinstance(value, bool) and plain is not bool
-    if isinstance(plain, type) and (wrong_bool or not isinstance(value, plain)):
-        raise ConfigError(where, field=key, found=repr(value), expected=plain.__name__)
-    return value
-
-
-def _first_that_takes(options: list[Any], value: Any, where: str | Path, key: str) -> Any:
-    """A value as the first of several types that takes it."""
-    for option in options:
-        try:
-            return _convert(option, value, where, key)
-        except ConfigError:
-            continue
-    names = " or ".join(getattr(option, "__name__", str(option)) for option in options)
-    raise ConfigError(where, field=key, found=repr(value), expected=names)
+    require_plain(values, where, TOML, ConfigError)
+    return dataclass_of(cls, values, where)
 
 
 def require_bounds(

@@ -15,6 +15,7 @@ from lightstage.errors import FormatError, LightstageError, PatternError, one_er
 from lightstage.formats.files import read_json, sha256_file, write_json
 from lightstage.formats.names import require_pseudonym
 from lightstage.formats.paths import check_name, path_inside
+from lightstage.formats.validation import validation_error
 from lightstage.patterns import pattern_levels
 from lightstage.rig import Rig, load_rig
 
@@ -140,16 +141,7 @@ def load_session(root: Path) -> Session:
     try:
         file = SessionFile.model_validate(value)
     except ValidationError as error:
-        problems: list[LightstageError] = [
-            FormatError(
-                path,
-                field=".".join(str(p) for p in e["loc"]),
-                found="no such field" if e["type"] == "missing" else repr(e["input"]),
-                expected="it" if e["type"] == "missing" else e["msg"],
-            )
-            for e in error.errors()
-        ]
-        raise one_error(problems) from None
+        raise validation_error(error, path) from None
     rig = load_rig(root / "rig.json")
     session = Session(root, file, rig)
     problems = _faults(session)

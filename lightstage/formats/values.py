@@ -67,7 +67,7 @@ def read_toml_value(path: Path) -> dict[str, Any]:
         _too_deep(path, TOML, ConfigError)
     except ValueError as wrong:  # a date that is none, or a number of thousands of digits
         raise ConfigError(path, found=str(wrong)[:SHOWN], expected="valid TOML") from None
-    _check(value, path, TOML, ConfigError)
+    require_plain(value, path, TOML, ConfigError)
     return value
 
 
@@ -132,7 +132,7 @@ def parse_json(
         _too_deep(where, limits, error)
     except ValueError:
         raise error(where, found="a number of thousands of digits", expected=_NUMBERS) from None
-    _check(value, where, limits, error)
+    require_plain(value, where, limits, error)
     return value
 
 
@@ -239,8 +239,21 @@ def _text(data: bytes, where: str | Path, error: type[LightstageError]) -> str:
         raise error(where, found=found, expected="UTF-8 text", hint=hint) from None
 
 
-def _check(value: Any, where: str | Path, limits: Limits, error: type[LightstageError]) -> None:
-    """Refuse a value outside the limits; the message names its place in the file."""
+def require_plain(
+    value: Any, where: str | Path, limits: Limits, error: type[LightstageError]
+) -> None:
+    """Refuse a value that no JSON or TOML file may hold; the message names its place in the file.
+
+    Args:
+        value: what was read.
+        where: what an error names.
+        limits: what the value may hold.
+        error: the class of the errors.
+
+    Raises:
+        error: a value outside the limits, or one that is neither text, a number, true or false,
+            a list or a table.
+    """
     todo: list[tuple[str, Any, int]] = [("", [value], 0)]
     while todo:
         place, holder, depth = todo.pop()
@@ -248,7 +261,7 @@ def _check(value: Any, where: str | Path, limits: Limits, error: type[Lightstage
         pairs: Iterable[tuple[Any, Any]] = holder.items() if is_object else enumerate(holder)
         for key, inner in pairs:
             kind = type(inner)
-            if kind is dict or kind is list:
+            if kind is dict or kind is list or kind is tuple:
                 if depth >= limits.depth:
                     _too_deep(where, limits, error)
                 todo.append((_place(place, key, depth), inner, depth + 1))

@@ -307,7 +307,7 @@ def test_bad_input_is_one_message_and_exit_2(
     refused("found no such file", "render", environment=tmp_path / "missing.json")
     refused("found no cam99", "render", "--camera", "cam99")
     refused("expected white or black", "render", "--background", "pink")
-    refused("expected one of dielectric, physical, paper, ggx", "render", "--mode", "glossy")
+    refused("expected 'dielectric', 'physical', 'paper' or 'ggx'", "render", "--mode", "glossy")
     small = read_exr(scene["maps"] / "specular_albedo.exr")[:48]
     write_exr(scene["maps"] / "specular_albedo.exr", small)
     refused("found 48 x 64 texels, expected 96 x 64", "render")

@@ -164,7 +164,7 @@ def test_other_complexions_leave_what_is_no_skin_as_it_is(store_path: Path) -> N
 def test_the_papers_preset_shades_by_the_papers_formulas(store_path: Path) -> None:
     assert preset("paper", {}, "test").shading == "paper"
     assert preset("demo", {}, "test").shading == "physical"
-    with pytest.raises(ConfigError, match="shading: found 'glossy', expected one of dielectric"):
+    with pytest.raises(ConfigError, match="shading: found 'glossy', expected 'dielectric'"):
         preset("paper", {"shading": "glossy"}, "test")
     store = open_store(store_path)
     config = dataclasses.replace(TINY.data, shadow_rows=0)

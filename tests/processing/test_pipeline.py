@@ -276,7 +276,7 @@ def test_a_batchs_file_serves_run_too_and_its_table_is_checked(
     assert ask("--until", "separate").code == 0
     for text, message in (
         ("batch = 3", "c.toml, batch: found 3, expected"),
-        ("[batch]\ntris = 2", "[batch], tris: found an unknown key"),
+        ("[batch]\ntris = 2", "batch.tris: found an unknown key"),
         ("[batch]\ntries = 0", "tries: found 0, expected from 1 to 100"),
     ):
         toml.write_text(text)

@@ -153,7 +153,7 @@ def test_an_unknown_key_is_refused_and_texts_of_lines_are_taken(tmp_path: Path) 
     file = tmp_path / "about.toml"
     text = ABOUT_FILE.read_text()
     file.write_text(text + 'age = "no question"\n')
-    with pytest.raises(ConfigError, match=r"about\.toml, \[answers\], age: found an unknown key"):
+    with pytest.raises(ConfigError, match=r"about\.toml, answers\.age: found an unknown key"):
         read_about(file)
     file.write_text(text + 'ethics_review = """One.\nTwo."""\n')
     assert read_about(file).answers.ethics_review == "One.\nTwo."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,6 @@ from learning.photo.landmark_fit import Problem, Sighting, Unknowns
 from learning.photo.model import ShapeModel, smooth_changes
 from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape, without_similarity
 from lightstage.errors import ConfigError
-from lightstage.formats.config import make_config
 from lightstage.formats.template import Template
 from tests.learning.photo.scene import FOCAL_PX, HEIGHT_PX, SMALL, WIDTH_PX, camera_at, on
 
@@ -209,10 +209,10 @@ def test_any_points_give_a_finite_head_or_one_clear_refusal(
     [
         ({"rows": 200}, "multiple of 3"),
         ({"landmark_percent": float("nan")}, "0.1 or more, at most 50"),
-        ({"free_mm": [1.0]}, "as many as free_mm"),
+        ({"free_mm": (1.0,)}, "as many as free_mm"),
         ({"rounds": 0}, "1 or more, at most 5"),
     ],
 )
-def test_a_configuration_out_of_bounds_is_refused(values: dict[str, object], word: str) -> None:
+def test_a_configuration_out_of_bounds_is_refused(values: dict[str, Any], word: str) -> None:
     with pytest.raises(ConfigError, match=word):
-        require_within(make_config(FitConfig, values, "F.toml"), "F.toml", "fit")
+        require_within(FitConfig(**values), "F.toml", "fit")

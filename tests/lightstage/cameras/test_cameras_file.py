@@ -40,15 +40,21 @@ def test_a_cameras_file_names_the_driver_that_takes_the_photographs(small_rig, t
         ('[cameras.cam0]\ndriver = "my stage:x"', "expected package.module:name"),
         ('alow_unverifiable = ["iso"]', "alow_unverifiable: found an unknown key"),
         ('allow_unverifiable = ["colour"]', "found 'colour', expected of serial"),
-        ('allow_unverifiable = "iso"', "expected tuple"),
+        ('allow_unverifiable = "iso"', "allow_unverifiable: found 'iso', expected a list"),
         ('[cameras.cam0]\nprot = "usb"', "prot: found an unknown key"),
-        ("[cameras.cam0]\nport = 3", "port: found 3, expected str"),
-        ('[cameras]\ncam0 = "usb"', "expected a table"),
+        (
+            "[cameras.cam0]\nport = 3",
+            r'cameras\.cam0\.port: found 3, expected a text\. Write it in quotes: "3"',
+        ),
+        ('[cameras]\ncam0 = "usb"', r"cameras\.cam0: found 'usb', expected a table"),
         ("[cameras", "valid TOML"),
         ('[expect]\nISO = "100"', r"\[expect\], ISO: found an unknown name, expected of serial"),
-        ("[expect]\niso = 100", 'iso: found 100, expected a text, such as iso = "100"'),
+        (
+            "[expect]\niso = 100",
+            r'expect\.iso: found 100, expected a text\. Write it in quotes: "100"',
+        ),
         ('[cameras.cam0.expect]\nzoom = "1"', r"\[cameras.cam0.expect\], zoom: found an unknown"),
-        ('expect = "100"', "expect: found '100', expected dict"),
+        ('expect = "100"', "expect: found '100', expected a table"),
     ],
 )
 def test_a_malformed_cameras_file_is_refused(tmp_path, text, message):

@@ -83,11 +83,11 @@ def test_lights_too_faint_for_the_wire_are_reported(tmp_path):
     [
         ("", "found none of them, expected one of levels"),
         ("levels = [1, 0]", "levels: found 2 values, expected 168 numbers"),
-        ("levels = [true]", r"levels\[0\]: found True, expected float"),
+        ("levels = [true]", r"levels\[0\]: found True, expected a number"),
         (f"levels = {[0.5] * 167 + [1.5]}", r"levels\[167\]: found 1.5, expected 0..1"),
         (f"levels = {[0.5] * 167} ".replace("]", ", nan]"), r"levels\[167\]: found nan"),
         ("lights = [168]", "lights: found 168, expected ids of the rig"),
-        ('lights = ["3"]', r"lights\[0\]: found '3', expected int"),
+        ('lights = ["3"]', r"lights\[0\]: found '3', expected a whole number"),
         ('names = ["ring*"]', "names: found no lamp named 'ring.'"),
         ("lights = [1]\nlevel = -0.1", "level: found -0.1, expected 0..1"),
         ("lights = [1]\ncap_deg = 3.0", "cap_deg: found it beside lights"),
@@ -116,7 +116,7 @@ def test_lights_too_faint_for_the_wire_are_reported(tmp_path):
         (f"levels = [1{'0' * 400}]", r"levels\[0\]: found a number too large"),
         ('environment = "' + "a" * 300 + '.exr"', "environment: found"),
         ("brightness = 1", "brightness: found an unknown key"),
-        ('level = "high"', "level: found 'high', expected float"),
+        ('level = "high"', "level: found 'high', expected a number"),
     ],
 )
 def test_a_fault_is_reported_with_its_place(tmp_path, text, message):

@@ -89,3 +89,10 @@ def test_warnings_alone_let_a_capture_begin(tmp_path, small_rig):
 def test_limits_that_are_none_are_refused(values):
     with pytest.raises(ConfigError):
         make_config(PreflightConfig, values, "a.toml")
+
+
+@pytest.mark.parametrize("name", ["max_pulse_error", "max_clock_offset_s"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_limit_that_is_no_finite_number_is_refused_where_no_file_has_it(name, value):
+    with pytest.raises(ConfigError, match=name):
+        PreflightConfig(**{name: value})
