@@ -150,8 +150,9 @@ NUMBER, INDEX = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", r"\d{1,9}"
 
 
 def _read_plain(lines: list[str]) -> Mesh | None:
-    """A mesh as programs write it: one space between numbers, faces of one kind, no index from the
-    end. None for any other: `_read_lines` reads it, and names what is wrong with it.
+    """A mesh as programs write it: one space between numbers, no index from the end.
+
+    None for any other: `_read_lines` reads it, and names what is wrong with it.
     """
     vertices = [line[2:] for line in lines if line.startswith("v ")]
     uvs = [line[3:] for line in lines if line.startswith("vt ")]
@@ -159,22 +160,29 @@ def _read_plain(lines: list[str]) -> Mesh | None:
     plain = len(vertices) + len(uvs) + len(faces)
     if plain != sum(line.split(None, 1)[:1] in (["v"], ["vt"], ["f"]) for line in lines):
         return None
-    corners = len(faces[0].split()) if faces else 0
-    if corners not in (3, 4):
+    spaces = [line.count(" ") for line in faces]
+    if not faces or not {2, 3}.issuperset(spaces):
         return None
-    indices = 1 + faces[0].count("/") // corners
+    indices = 1 + faces[0].count("/") // (spaces[0] + 1)
+    corner = "/".join(indices * [INDEX])
     places = numbers_of(vertices, " ".join(3 * [NUMBER]), 3, float)
     textures = numbers_of(uvs, " ".join(2 * [NUMBER]), 2, float)
-    corner = "/".join(indices * [INDEX])
-    joins = numbers_of(faces, " ".join(corners * [corner]), corners * indices, np.int64)
-    if places is None or textures is None or joins is None or joins.min() < 1:
+    if places is None or textures is None:
         return None
-    by_corner = joins.reshape(-1, corners, indices).astype(np.int32) - 1
+    by_corner = np.zeros((len(faces), 4, indices), np.int32)
+    for corners in (3, 4):
+        of_kind = [k for k, count in enumerate(spaces) if count == corners - 1]
+        pattern = " ".join(corners * [corner])
+        joins = numbers_of([faces[k] for k in of_kind], pattern, corners * indices, np.int64)
+        if joins is None or (joins < 1).any():
+            return None
+        by_corner[of_kind, :corners] = joins.reshape(-1, corners, indices)
+    by_corner -= 1
     return Mesh(
         places,
-        np.ascontiguousarray(by_corner[..., 0]),
+        _trim(np.ascontiguousarray(by_corner[..., 0])),
         textures if uvs else None,
-        np.ascontiguousarray(by_corner[..., 1]) if indices > 1 else None,
+        _trim(np.ascontiguousarray(by_corner[..., 1])) if indices > 1 else None,
     )
 
 

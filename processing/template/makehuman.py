@@ -310,6 +310,7 @@ def _people(files: _Files) -> tuple[np.ndarray, np.ndarray]:
     """
     listed = _listed(files, MACRO)
     offsets = []
+    once: dict[str, np.ndarray] = {}  # three people share a body
     for group, gender in PEOPLE:
         offset = np.zeros((VERTICES, 3))
         body = f"universal-{gender}-young-averagemuscle-averageweight"
@@ -322,7 +323,9 @@ def _people(files: _Files) -> tuple[np.ndarray, np.ndarray]:
                     expected="MakeHuman's young adults",
                     hint=HINT,
                 )
-            offset += _target(files, listed[name])
+            if name not in once:
+                once[name] = _target(files, listed[name])
+            offset += once[name]
         offsets.append(offset)
     mean = np.mean(offsets, axis=0)
     return mean, (np.stack(offsets) - mean).astype(np.float32)

@@ -238,3 +238,8 @@ def test_the_shipped_template_and_what_is_written_here_are_read_quickly(tmp_path
     mesh = Mesh(corners, np.array([[0, 1, 2]], np.int32))
     written = write_obj(mesh, tmp_path / "m.obj").read_text().splitlines(keepends=True)
     assert _read_plain(written) is not None
+    mixed = Mesh(corners, np.array([[0, 1, 2, 0], [2, 1, 0, -1]], np.int32))
+    written = write_obj(mixed, tmp_path / "m.obj").read_text().splitlines(keepends=True)
+    found = _read_plain(written)
+    assert found is not None
+    np.testing.assert_array_equal(found.faces, mixed.faces, strict=True)

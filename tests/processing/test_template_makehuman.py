@@ -249,6 +249,8 @@ def test_a_target_is_read_the_same_at_once_and_line_by_line(tmp_path, monkeypatc
 def test_wrong_files_are_refused_by_name_and_nothing_is_written(folder, tmp_path, run_command):
     root, out = tmp_path / "data", tmp_path / "T"
     shutil.copytree(folder, root)
+    for path in (root / "targets" / "macrodetails").iterdir():  # read twenty times, so kept short
+        written(path, np.arange(3), np.ones((3, 3)))
 
     def ended(path=root):
         found = run_command("processing", "template", "import-makehuman", path, "--out", out)

@@ -44,6 +44,13 @@ def run_here(run_command):
     return run
 
 
+def quickly(tmp_path):
+    """Options of a capture whose light changes as fast as it can: nobody sits in the stage."""
+    config = tmp_path / "quick.toml"
+    config.write_text("[safety]\nlight_interval_s = 0.0\nmax_flashes_per_s = 30.0\n")
+    return "--config", str(config)
+
+
 def one_clear_message(done, *parts):
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
@@ -58,7 +65,8 @@ def test_every_photograph_is_the_one_that_the_acknowledged_light_gave(stage, tmp
     for camera in stage.rig.cameras:
         colour["cameras"][camera.id] = {"linear_from_raw": np.eye(3).tolist()}
     write_json(tmp_path / "colour.json", colour)
-    done = run(stage, out, "--json", "--subject", "p7", "--colour", str(tmp_path / "colour.json"))
+    words = ["--json", "--subject", "p7", "--colour", str(tmp_path / "colour.json")]
+    done = run(stage, out, *words, *quickly(tmp_path))
     assert done.returncode == 0, done.stderr
     facts = json.loads(done.stdout.splitlines()[-1])
     assert facts["frames"] == 21
@@ -121,7 +129,7 @@ def test_a_camera_whose_picture_is_gone_is_named_and_the_others_are_kept(stage, 
 
     stage.device.on_state = show_and_lose
     out = tmp_path / "S"
-    done = run(stage, out, "--sequence", "full,x+,x-")
+    done = run(stage, out, "--sequence", "full,x+,x-", *quickly(tmp_path))
     one_clear_message(
         done,
         "x+ by cam1",
@@ -140,7 +148,8 @@ def test_lights_on_a_splitting_plane_are_reported_and_lit_by_half(stage, tmp_pat
     stage.rig = rig
     save_rig(rig, stage.rig_path)
     out = tmp_path / "S"
-    done = run(stage, out, "--sequence", "full,x+,x-", "--drive", "on-off")
+    words = ["--sequence", "full,x+,x-", "--drive", "on-off"]
+    done = run(stage, out, *words, *quickly(tmp_path))
     assert done.returncode == 0, done.stderr
     assert "1 lamp on the splitting plane (ids 3)" in done.stderr
     session = load_session(out)
@@ -151,7 +160,7 @@ def test_lights_on_a_splitting_plane_are_reported_and_lit_by_half(stage, tmp_pat
 
 def test_a_device_that_falls_silent_ends_the_capture(stage, tmp_path):
     stage.device.dead_after = 4  # HELLO?, DARK, SET, one STATE? are answered, nothing after
-    stage.device.url = stage.device.url.replace("timeout_s=5", "timeout_s=0.3&attempts=2")
+    stage.device.url = stage.device.url.replace("timeout_s=5", "timeout_s=0.2&attempts=2")
     done = run(stage, tmp_path / "S")
     one_clear_message(done, "no answer to 5 HELLO?", "The lights may still be on")
 

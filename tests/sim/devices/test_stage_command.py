@@ -72,7 +72,7 @@ def test_lines_that_go_on_with_devices_that_are_gone_are_not_passed_on():
 
 def test_a_target_too_small_in_the_pictures_is_one_error_and_what_to_do(tmp_path, tiny_rig):
     rig = save_rig(tiny_rig, tmp_path / "rig.json")
-    options = ["mirror", "--out", str(tmp_path / "LAB"), "--rig", str(rig), "--scale", "1"]
+    options = ["chart", "--out", str(tmp_path / "LAB"), "--rig", str(rig), "--scale", "1"]
     done = subprocess.run(
         [sys.executable, "-m", "sim", "calibrate", *options], capture_output=True, text=True
     )

@@ -131,7 +131,7 @@ def test_every_photograph_is_of_its_light_and_both_controllers_end_dark(tmp_path
 
 def test_where_one_controller_falls_silent_the_other_is_dark_at_the_end(tmp_path) -> None:
     with two_stage(tmp_path, Fault("die", at=6)) as stage:
-        done = capture(stage, tmp_path / "S", tmp_path)
+        done = capture(stage, tmp_path / "S", tmp_path, stage.device.url(0.4, 2))
         assert done.returncode == 2
         assert "right: LED device" in done.stderr
         assert "may still be on" in done.stderr
