@@ -8,7 +8,7 @@ import gc
 import os
 import signal
 import subprocess
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import hypothesis
@@ -50,34 +50,6 @@ LAST = ("tests/test_end_to_end.py", "tests/sim/", "tests/lightstage/test_")
 """What goes last, in this order."""
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_make_collect_report(
-    collector: pytest.Collector,
-) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
-    """Every other worker collects the files from the last to the first.
-
-    All workers collect all files, and in a new clone each of them has to be compiled, its asserts
-    rewritten. Workers that meet in the middle find there what another one has compiled.
-    """
-    report = yield
-    if isinstance(collector, pytest.Directory) and backwards():
-        report.result.reverse()
-    return report
-
-
-def backwards() -> bool:
-    """Whether this process is a worker of an odd number."""
-    number = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
-    return number.isdecimal() and int(number) % 2 == 1
-
-
-def place(item: pytest.Item) -> tuple[int, list[str]]:
-    """Where a test's file goes."""
-    starts = (n for n, start in enumerate(LAST, 1) if item.nodeid.startswith(start))
-    return next(starts, 0), item.nodeid.partition("::")[0].split("/")
-
-
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Slow files are marked; the longest test goes before the simulator's, what is quick last.
 
@@ -89,7 +61,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.nodeid.partition("::")[0] in slow:
             item.add_marker(pytest.mark.slow)
-    items.sort(key=place)
+    places = {start: place for place, start in enumerate(LAST, 1)}
+    items.sort(key=lambda i: next((places[s] for s in LAST if i.nodeid.startswith(s)), 0))
 
 
 def pytest_collection_finish() -> None:
