@@ -289,8 +289,8 @@ def _run_to_begin_with(given: str | None, family: str, resume: bool) -> Path | N
         raise ConfigError(
             "--begin-with",
             found=f"{SHIPPED}, for a network of the family {family!r}",
-            expected=f"a run's folder, or a --preset of {', '.join(shipped)}",
-            hint="No weights of this family are shipped.",
+            expected="a run's folder",
+            hint="Weights are shipped for --preset modern, rcan-small and mesostructure alone.",
         )
     return shipped[family]()
 

@@ -28,6 +28,7 @@ from learning.upscale.train import UpscaleTrainer, upscale_task
 from learning.whole.config import WholeTrainConfig
 from learning.whole.train import WholeFaceTrainer, face_task
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.counting import counted
 from processing.dataset import Store
 
 TRAINERS: dict[str, tuple[type[Trainer[Any, Any]], Callable[..., Task[Any, Any]]]] = {
@@ -71,7 +72,7 @@ def weights_of(
         raise CheckpointError(
             where,
             field="held_out",
-            found=f"{known[0]} and {len(known) - 1} more, who were trained on",
+            found=f"{counted(len(known), 'person', 'people')} that it was trained on ({known[0]})",
             expected="all people who are held out now",
             hint="Hold out no more people of this store than that run did.",
         )

@@ -102,7 +102,7 @@ def test_networks_that_do_not_suit_are_refused_and_nothing_is_written(
     assert "weights" in str(refused(dataclasses.replace(SHORT, network=wider)))
     faces = dataclasses.replace(SHORT.faces, held_out_subjects=2)
     known = str(refused(dataclasses.replace(SHORT, faces=faces)))
-    assert "found person-1 and 0 more, who were trained on" in known
+    assert "found 1 person that it was trained on (person-1)" in known
     with pytest.raises(Exception, match="no such file"):
         train(store, out, SHORT, begin_with=tmp_path / "none")
     assert not out.exists()
