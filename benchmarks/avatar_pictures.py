@@ -62,6 +62,8 @@ def main() -> None:
     parser.add_argument("--photos", type=Path, nargs="*", default=[], help="of real people")
     parser.add_argument("--captured", type=Path, help="a processed folder")
     asked = parser.parse_args()
+    if asked.picture.suffix.lower() not in (".jpg", ".png"):
+        parser.error(f"{asked.picture}: expected a picture's name, .jpg or .png")
     heads = [] if asked.captured is None else [captured_row(asked.captured)]
     with tempfile.TemporaryDirectory() as place:
         for number, who in enumerate(chosen(list(KINDS), 3, unseen=False)):
