@@ -28,7 +28,7 @@ from learning.encoding import (
     smoothed_normal,
 )
 from learning.errors import TrainingError
-from learning.maps import to_batch, typical_texel_mm
+from learning.maps import READ, to_batch, typical_texel_mm
 from learning.patch_light import (
     Box,
     ScanLight,
@@ -53,14 +53,6 @@ from processing.dataset import Store
 
 MARGIN_PX = 8
 """Texels read around a patch, so that its normals need no texel that is missing."""
-READ = (
-    "diffuse_albedo",
-    "specular_albedo",
-    "diffuse_normal",
-    "specular_normal",
-    "position",
-    "confidence",
-)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -25,6 +25,15 @@ from lightstage.formats.mesh import Mesh
 from lightstage.formats.processed import read_map
 from lightstage.formats.template import Template
 
+READ = (
+    "diffuse_albedo",
+    "specular_albedo",
+    "diffuse_normal",
+    "specular_normal",
+    "position",
+    "confidence",
+)
+"""Maps of a store that trainings read."""
 SHININESS = 32.0
 """Blinn-Phong's exponent where there is no map: Beckmann m = 0.25, skin's middle."""
 ROUGHNESS_RANGE = (0.05, 0.95)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from learning.encoding import shrink
-from learning.maps import to_batch, typical_texel_mm
+from learning.maps import READ, to_batch, typical_texel_mm
 from learning.render.kept_shadows import KeptShadows
 from learning.render.occlusion import DOME_MM, PositionGrid, bake_grid, openness
 from learning.render.uv import TexelSurface, texel_surface
@@ -41,17 +41,7 @@ def read_small(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """A scan's maps as means over larger texels, (rows, columns, c), and its share of skin."""
     everything = slice(None)
-    read = {
-        name: to_batch(store.read(scan, name, everything, everything))
-        for name in (
-            "diffuse_albedo",
-            "specular_albedo",
-            "diffuse_normal",
-            "specular_normal",
-            "position",
-            "confidence",
-        )
-    }
+    read = {name: to_batch(store.read(scan, name, everything, everything)) for name in READ}
     captured = (read.pop("confidence") > 0).float()
     covered = (read["position"] != 0).any(dim=1, keepdim=True).float()
     size = (rows, columns)
@@ -77,7 +67,7 @@ def tensors_of(maps: dict[str, np.ndarray]) -> tuple[dict[str, Tensor], float, T
     return tensors, texel_mm, surface
 
 
-def lit_anywhere(
+def face_of(
     maps: dict[str, np.ndarray],
     skin: np.ndarray,
     sets: list[np.ndarray],

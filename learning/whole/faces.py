@@ -33,7 +33,7 @@ from learning.render.shading import Mode, ShadeOptions, SkinMaps, shade, unit
 from learning.render.skin import joined_skins
 from learning.whole.closed_eyes import eyes_of
 from learning.whole.displacement import displaced, displacement, edges_mm
-from learning.whole.face import Face, lit_anywhere, read_small, tensors_of
+from learning.whole.face import Face, face_of, read_small, tensors_of
 from learning.whole.texture_layout import brows_to_lips, of_another_layout
 from lightstage.commands import ProgressCallback, quiet
 from processing.dataset import Store
@@ -185,7 +185,7 @@ class Faces:
         try:
             baked = [
                 threads.submit(
-                    lit_anywhere,
+                    face_of,
                     *read_small(store, scan.index, *size_px),
                     [random_lights(rng, lights) for _ in range(config.shadow_sets)],
                     shadows_of_scan(shadows, scan.sha256, "the surface"),
@@ -211,8 +211,7 @@ class Faces:
 
     def _require_one_layout(self) -> None:
         """TrainingError where the texture of some scans is laid out in another way than most's."""
-        positions = [shrink(face.maps["position"], self._size) for face in self.faces]
-        other = of_another_layout(torch.cat(positions)) if positions else []
+        other = of_another_layout(self._shrunk("position")) if self.faces else []
         if other:
             names = [f"{self._scans[i].subject} ({self._scans[i].expression})" for i in other]
             more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
@@ -227,12 +226,8 @@ class Faces:
 
     def in_common(self, modes: int) -> KnownPeople:
         """What the people have in common, and the directions in which their albedo differs."""
-        shrunk = [
-            [shrink(face.maps[name], self._size) for face in self.faces]
-            for name in ("diffuse_albedo", "specular_albedo", "position")
-        ]
-        diffuse, specular, position = (torch.cat(images) for images in shrunk)
-        logarithm = diffuse.clamp_min(LEAST_ALBEDO).log()
+        specular, position = self._shrunk("specular_albedo"), self._shrunk("position")
+        logarithm = self._shrunk("diffuse_albedo").clamp_min(LEAST_ALBEDO).log()
         mean = logarithm.mean(dim=0, keepdim=True)
         beside = logarithm - mean
         # A person of several scans counts several times; with one scan there is no direction.
@@ -251,10 +246,15 @@ class Faces:
 
     def _not_eyes(self) -> Tensor:
         """(1, 1, rows, columns), 0 where a texture with closed eyes is not shown, 1 elsewhere."""
-        people = self.in_common(0)
-        face = from_batch(brows_to_lips(people.position_mm))
-        eyes = eyes_of(from_batch(people.log_albedo), face)
-        return to_batch(~eyes).float()
+        logarithm = self._shrunk("diffuse_albedo").clamp_min(LEAST_ALBEDO).log()
+        mean, position = (
+            images.mean(dim=0, keepdim=True) for images in (logarithm, self._shrunk("position"))
+        )
+        return to_batch(~eyes_of(from_batch(mean), from_batch(brows_to_lips(position))))
+
+    def _shrunk(self, name: str) -> Tensor:
+        """(people, c, rows, columns), a map of all scans at the network's size."""
+        return torch.cat([shrink(face.maps[name], self._size) for face in self.faces])
 
     def draw(self, count: int, rng: np.random.Generator, share: slice = slice(None)) -> FaceBatch:
         """A batch of random scans, or a share of it: what is drawn is the whole batch's.

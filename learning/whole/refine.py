@@ -32,6 +32,7 @@ from learning.whole.unlit import (
     light_edges,
     lit_enough,
     matt,
+    median_light,
     misplaced,
     over_light,
     trusted,
@@ -328,8 +329,7 @@ class _Followed:
         covered = self.raster.covered
         edges = light_edges(self.level, covered)
         known = lit_enough(self.level, covered) & ~edges
-        median = np.median(self.level[covered]) if covered.any() else 0.0
-        level = self.level / max(float(median), DARK_LIGHT)
+        level = self.level / max(median_light(self.level, covered), DARK_LIGHT)
         images = [self._irradiance, self._lobe, self.slope, level]
         if covered.shape != (rows, columns):
             images = [enlarged(image, rows, columns) for image in images]
@@ -375,7 +375,7 @@ def _with_marks(
     covered: np.ndarray,
     sides: bool,
     own: OwnShares,
-    trust: np.ndarray | float = 1.0,
+    trust: np.ndarray | float,
 ) -> np.ndarray:
     """The albedo at a texture's own size.
 

@@ -104,10 +104,13 @@ def matt(texture: np.ndarray, shine: np.ndarray) -> np.ndarray:
 
 def lit_enough(level: np.ndarray, covered: np.ndarray) -> np.ndarray:
     """(rows, columns) bool, where irradiance, of (rows, columns), is not too dark to divide by."""
-    if not covered.any():
-        return covered
-    found: np.ndarray = covered & (level > LEAST_LIGHT * np.median(level[covered]))
+    found: np.ndarray = covered & (level > LEAST_LIGHT * median_light(level, covered))
     return found
+
+
+def median_light(level: np.ndarray, covered: np.ndarray) -> float:
+    """Median of (rows, columns) irradiance where a surface is; 0 where none is."""
+    return float(np.median(level[covered])) if covered.any() else 0.0
 
 
 def in_the_dark(texture: np.ndarray, photographed: np.ndarray) -> np.ndarray:

@@ -59,7 +59,7 @@ def read_cameras_file(path: Path) -> CamerasFile:
             "stage prints where its file is.",
         )
     file = make_config(CamerasFile, read_toml(path), path)
-    _check_expect(f"{path}, [expect]", file.expect)
+    _check_expect(path, "expect", file.expect)
     for name in file.allow_unverifiable:
         if name not in VERIFIABLE:
             raise ConfigError(
@@ -70,7 +70,7 @@ def read_cameras_file(path: Path) -> CamerasFile:
             )
     entries = {}
     for camera_id, entry in file.cameras.items():
-        _check_expect(f"{path}, [cameras.{camera_id}.expect]", entry.expect)
+        _check_expect(path, f"cameras.{camera_id}.expect", entry.expect)
         if entry.virtual_folder is not None:
             folder = path.parent / entry.virtual_folder.expanduser()
             entry = dataclasses.replace(entry, virtual_folder=folder.absolute())
@@ -85,13 +85,13 @@ def read_cameras_file(path: Path) -> CamerasFile:
     return dataclasses.replace(file, cameras=entries)
 
 
-def _check_expect(where: str, expect: dict[str, str]) -> None:
+def _check_expect(path: Path, table: str, expect: dict[str, str]) -> None:
     """ConfigError where a name is none of Summary's."""
     for name in expect:
         if name not in VERIFIABLE:
             raise ConfigError(
-                where,
-                field=name,
+                path,
+                field=f"{table}.{name}",
                 found="an unknown name",
                 expected=f"of {', '.join(VERIFIABLE)}",
             )

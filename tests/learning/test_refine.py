@@ -179,7 +179,7 @@ def test_shares_of_nothing_leave_the_skins_that_people_have_and_whole_texels_sta
     eyes[10:16, 8:14] = True
 
     def albedo(own: refine.OwnShares) -> np.ndarray:
-        return refine._with_marks(low, unlit, everywhere, everywhere, False, own)
+        return refine._with_marks(low, unlit, everywhere, everywhere, False, own, 1.0)
 
     found = albedo(refine.OwnShares(0.0, 0.0, eyes))
     np.testing.assert_allclose(found[~eyes], 0.3, rtol=1e-6)
@@ -214,13 +214,15 @@ def test_hair_keeps_its_colour_is_continued_in_hair_alone_and_goes_over_into_ski
     unlit[:48] = 0.7, 0.5, 0.2
     known = np.ones((96, 64), bool)
     known[:24] = False
-    found = refine._with_marks(low, unlit, known, np.ones_like(known), False, blond(hair))
+    found = refine._with_marks(low, unlit, known, np.ones_like(known), False, blond(hair), 1.0)
     # Shown hair and hair that nothing shows have one colour, which skin below has not.
     np.testing.assert_allclose(found[4:44, 8:56], np.broadcast_to(unlit[30, 30], (40, 48, 3)), 0.02)
     np.testing.assert_allclose(found[56:90, 8:56], 0.2, rtol=0.05)
     assert found[47, 30, 0] > found[48, 30, 0] > 0.25
     # Where no hair is shown, it is the mean person's.
-    bare = refine._with_marks(low, unlit, known & ~hair, np.ones_like(known), False, blond(hair))
+    bare = refine._with_marks(
+        low, unlit, known & ~hair, np.ones_like(known), False, blond(hair), 1.0
+    )
     np.testing.assert_allclose(bare[:40, 8:56], 0.2, rtol=0.02)
 
 
@@ -257,10 +259,10 @@ def test_an_eye_that_is_not_shown_is_like_the_other_one() -> None:
     unlit[eye] = 0.1, 0.05, 0.02
     known = ~eye[:, ::-1]
     own = refine.OwnShares(0.2, 0.75, eye)
-    found = refine._with_marks(low, unlit, known, np.ones_like(known), True, own)
+    found = refine._with_marks(low, unlit, known, np.ones_like(known), True, own, 1.0)
     np.testing.assert_allclose(found[:, ::-1][eye], found[eye], rtol=1e-5)
     # Where the columns in reverse are no other side, nothing is known of it.
-    alone = refine._with_marks(low, unlit, known, np.ones_like(known), False, own)
+    alone = refine._with_marks(low, unlit, known, np.ones_like(known), False, own, 1.0)
     assert alone[:, ::-1][eye].mean() > 0.3
 
 

@@ -48,12 +48,12 @@ def test_a_cameras_file_names_the_driver_that_takes_the_photographs(small_rig, t
         ),
         ('[cameras]\ncam0 = "usb"', r"cameras\.cam0: found 'usb', expected a table"),
         ("[cameras", "valid TOML"),
-        ('[expect]\nISO = "100"', r"\[expect\], ISO: found an unknown name, expected of serial"),
+        ('[expect]\nISO = "100"', r"expect\.ISO: found an unknown name, expected of serial"),
         (
             "[expect]\niso = 100",
             r'expect\.iso: found 100, expected a text\. Write it in quotes: "100"',
         ),
-        ('[cameras.cam0.expect]\nzoom = "1"', r"\[cameras.cam0.expect\], zoom: found an unknown"),
+        ('[cameras.cam0.expect]\nzoom = "1"', r"cameras\.cam0\.expect\.zoom: found an unknown"),
         ('expect = "100"', "expect: found '100', expected a table"),
     ],
 )
