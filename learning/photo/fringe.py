@@ -15,6 +15,7 @@ import numpy as np
 
 from learning.photo.skin_mask import BROWS, hair_texels, mean_around
 from learning.render.uv import UvRaster
+from learning.whole.scalp import log_colour
 from lightstage.formats.template import Template
 
 EYES, MOUTH = slice(36, 48), slice(48, 68)
@@ -101,6 +102,4 @@ def _bridged(lowest_mm: np.ndarray) -> np.ndarray:
 
 def _colour(albedo: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """(rows, columns, 3) logarithms of an albedo's mean, and of red and blue over green."""
-    log = mean_around(np.log(np.clip(np.nan_to_num(albedo), DARKEST, 1)), seen)
-    green = log[..., 1]
-    return np.stack([log.mean(axis=2), log[..., 0] - green, log[..., 2] - green], axis=-1)
+    return log_colour(mean_around(np.log(np.clip(np.nan_to_num(albedo), DARKEST, 1)), seen))

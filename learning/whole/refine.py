@@ -21,10 +21,11 @@ from learning.mesostructure.evidence import Frame, frame_of, slope_of
 from learning.mesostructure.infer import TrainedMesostructure, find
 from learning.networks.whole_face import DARKEST, WholeFaceNetwork
 from learning.render.uv import UvRaster, rasterise
-from learning.whole.detail import blurred, enlarged
+from learning.whole.detail import enlarged
 from learning.whole.expected import log_deviation
 from learning.whole.gaps import sides_mirror, without_gaps
 from learning.whole.light import Light, LightFit, LitSurface
+from learning.whole.scalp import hair_share, skin_over_scalp
 from learning.whole.together import Explained, KnownSkin, explain
 from learning.whole.unlit import (
     DARK_LIGHT,
@@ -60,8 +61,6 @@ LARGEST_MISFIT = 1.7
 one's 2."""
 LEAST_HAIR = 0.01
 """Share of the texels with hair that must be known, for all to get their colour."""
-HAIRLINE_SHARE = 1 / 96
-"""Standard deviation over which hair goes over into skin, of a texture's rows."""
 LARGEST_ROWS = 1536
 """Light is followed at so many rows at most, and enlarged for larger textures."""
 
@@ -80,7 +79,8 @@ class OwnShares:
             none where None.
         hair: (rows, columns) bool, texels that have hair on most people, and whose colour differs
             between people more than the skins' does. What is lit of them is the person's own as
-            it is, and continued among them alone; None where they are like all others.
+            it is, and continued among them alone; but those that show bare skin are skin (see
+            `learning.whole.scalp`). None where they are like all others.
         hidden: (rows, columns) bool, texels of which nothing is the skin's own, such as those under
             a fringe; none where None.
         normals_off: standard deviation of the shape's normals, radians along each axis. Where light
@@ -119,6 +119,24 @@ class Refined:
     light: LightSet
     deviation_log: np.ndarray
     normals: tuple[np.ndarray, np.ndarray] | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Scalp:
+    """Where a person has hair.
+
+    Attributes:
+        hair_share: (rows, columns) of `learning.whole.scalp.hair_share`.
+        skin_log: (h, w, 3) natural logarithm of the skin, continued under the hair.
+    """
+
+    hair_share: np.ndarray
+    skin_log: np.ndarray
+
+    @property
+    def is_hair(self) -> np.ndarray:
+        """(rows, columns) bool, texels that are mostly hair."""
+        return self.hair_share > 0.5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -199,9 +217,13 @@ def refine(
     followed = _Followed(mesh, raster, light, fit, here, camera_mm)
     taken = followed.taken_out(texture, photographed, answer.specular, low_albedo, own.normals_off)
     unlit, known, lit, trust = taken
+    scalp: Scalp | None = None
     if own.hair is not None:
+        shown = lit if own.hidden is None else lit & ~own.hidden
+        skin_log = skin_over_scalp(low_albedo, own.hair, raster.covered)
+        scalp = Scalp(hair_share(unlit, shown, own.hair, skin_log, trust), skin_log)
         # Black hair is no shadow, and hair of another colour not out of place.
-        known = np.where(own.hair, lit, known)
+        known = np.where(scalp.is_hair, lit, known)
     if own.whole is not None:
         # A dark iris is no shadow, and has its own colour in place of the mean person's.
         known |= own.whole & photographed
@@ -210,14 +232,14 @@ def refine(
         known &= ~own.hidden
     normals = None
     if mesostructure is not None and len(texture) >= mesostructure.least_rows:
-        skin_known = known if own.hair is None else known & ~own.hair
+        skin_known = known if scalp is None else known & ~scalp.is_hair
         found_there = find(mesostructure, unlit, skin_known, followed.slope, followed.level)
         unlit = np.clip(unlit * np.exp(-found_there.shading), DARKEST, 1.0)
         frame = followed.frame if followed.raster is raster else _frame(mesh, raster)
         tilts = (found_there.diffuse_tilt, found_there.specular_tilt)
         normals = (frame.tilted(tilts[0]), frame.tilted(tilts[1]))
     sides = sides_mirror(network.mean_position_mm[0].permute(1, 2, 0).numpy())
-    albedo = _with_marks(low_albedo, unlit, known, raster.covered, sides, own, trust)
+    albedo = _with_marks(low_albedo, unlit, known, raster.covered, sides, own, trust, scalp)
     deviation = np.zeros(here.shape)
     deviation[here] = log_deviation(skin.modes, found.covariance)
     return Refined(albedo, known, _light_set(light), deviation, normals)
@@ -376,6 +398,7 @@ def _with_marks(
     sides: bool,
     own: OwnShares,
     trust: np.ndarray | float,
+    scalp: Scalp | None = None,
 ) -> np.ndarray:
     """The albedo at a texture's own size.
 
@@ -387,10 +410,15 @@ def _with_marks(
         sides: see `without_gaps`.
         own: what of the texture is the skin's own.
         trust: (rows, columns) share of it that is believed, texel by texel.
+        scalp: where it is hair; None where nothing is.
     """
     base = enlarged(np.log(low_albedo), *known.shape)
+    if scalp is not None:
+        # What most people have there, hair, is no measure of bare skin.
+        bare = 1 - scalp.hair_share[..., None]
+        base += bare * (enlarged(scalp.skin_log, *known.shape) - base)
     beside = (np.log(unlit) - base) * np.broadcast_to(trust, known.shape)[..., None]
-    skin = known if own.hair is None else known & ~own.hair
+    skin = known if scalp is None else known & ~scalp.is_hair
     filled = without_gaps(beside, skin, covered, sides)
     size = (low_albedo.shape[0], low_albedo.shape[1])
     share = _shrunk(covered.astype(np.float32), size)
@@ -405,10 +433,10 @@ def _with_marks(
             # Of two eyes of which one alone is shown, the other is like it.
             alike = (own.whole & known)[:, ::-1] & ~known
             own_part = np.where(alike[..., None], filled[:, ::-1], own_part)
-    if own.hair is not None and (known & own.hair).sum() > LEAST_HAIR * own.hair.sum():
+    if scalp is not None and (known & scalp.is_hair).sum() > LEAST_HAIR * scalp.is_hair.sum():
         # Its own colour is continued: as a difference it would make skin beside it glow.
-        hair = without_gaps(np.log(unlit), known & own.hair, covered, sides) - base
-        part = blurred(own.hair.astype(np.float32), HAIRLINE_SHARE * len(known))[..., None]
+        hair = without_gaps(np.log(unlit), known & scalp.is_hair, covered, sides) - base
+        part = scalp.hair_share[..., None]
         own_part = part * hair + (1 - part) * own_part
     albedo: np.ndarray = np.exp(np.minimum(base + own_part, 0.0))
     return albedo

@@ -17,6 +17,7 @@ from learning.maps import load_head
 from learning.relight import lit_texture, shadows_of
 from learning.whole import refine
 from learning.whole.infer import infer_whole_face
+from learning.whole.scalp import hair_share, skin_over_scalp
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder
@@ -213,17 +214,58 @@ def test_hair_keeps_its_colour_is_continued_in_hair_alone_and_goes_over_into_ski
     hair[:48] = True
     unlit[:48] = 0.7, 0.5, 0.2
     known = np.ones((96, 64), bool)
-    known[:24] = False
-    found = refine._with_marks(low, unlit, known, np.ones_like(known), False, blond(hair), 1.0)
+    known[:24] = known[:, 44:] = False
+    found = with_marks_and_hair(low, unlit, known, hair)
     # Shown hair and hair that nothing shows have one colour, which skin below has not.
     np.testing.assert_allclose(found[4:44, 8:56], np.broadcast_to(unlit[30, 30], (40, 48, 3)), 0.02)
     np.testing.assert_allclose(found[56:90, 8:56], 0.2, rtol=0.05)
-    assert found[47, 30, 0] > found[48, 30, 0] > 0.25
+    # The hairline is the photograph's where that shows it.
+    np.testing.assert_allclose(found[47:49, 30, 0], (0.7, 0.2), rtol=0.1)
+    assert 0.5 > found[47, 52, 0] > found[48, 52, 0] > 0.25
     # Where no hair is shown, it is the mean person's.
-    bare = refine._with_marks(
-        low, unlit, known & ~hair, np.ones_like(known), False, blond(hair), 1.0
-    )
+    bare = with_marks_and_hair(low, unlit, known & ~hair, hair)
     np.testing.assert_allclose(bare[:40, 8:56], 0.2, rtol=0.02)
+
+
+def test_the_skin_below_a_high_hairline_is_no_lighter_or_darker_than_the_forehead() -> None:
+    # Most people's hair begins at row 48, this person's at row 36. The light was found a little too
+    # weak, so that what the texture shows over it is too light.
+    low, hair = most_people()
+    unlit = np.full((96, 64, 3), 0.4 * 1.2)
+    unlit[:36] = 0.03
+    found = with_marks_and_hair(low, unlit, np.ones_like(hair), hair, trust=0.2)
+    forehead = found[75:90, 8:56].mean()
+    np.testing.assert_allclose(found[39:75, 8:56], forehead, rtol=0.04)
+    np.testing.assert_allclose(found[4:33, 8:56], 0.03, rtol=0.02)
+
+
+def test_a_skull_in_a_light_that_is_a_little_off_is_skin_and_so_is_what_nothing_shows() -> None:
+    low, hair = most_people()
+    unlit = np.full((96, 64, 3), 0.4)
+    unlit[:24, :32], unlit[:24, 32:] = 0.25, 0.5
+    known = np.ones_like(hair)
+    known[:12] = False
+    found = with_marks_and_hair(low, unlit, known, hair, trust=0.15)
+    assert np.log(found[:, 8:56] / 0.4) == pytest.approx(0, abs=0.07)
+
+
+def most_people() -> tuple[np.ndarray, np.ndarray]:
+    """A skin with dark hair in its upper half, and where that is, four times as large."""
+    low = np.full((24, 16, 3), 0.4)
+    low[:12] = 0.05
+    hair = np.zeros((96, 64), bool)
+    hair[:48] = True
+    return low, hair
+
+
+def with_marks_and_hair(
+    low: np.ndarray, unlit: np.ndarray, known: np.ndarray, hair: np.ndarray, trust: float = 1.0
+) -> np.ndarray:
+    own, everywhere = blond(hair), np.ones_like(known)
+    skin_log = skin_over_scalp(low, hair, everywhere)
+    share = hair_share(unlit, known, hair, skin_log, np.full(known.shape, trust))
+    scalp = refine.Scalp(share, skin_log)
+    return refine._with_marks(low, unlit, known, everywhere, False, own, trust, scalp)
 
 
 def blond(hair: np.ndarray) -> refine.OwnShares:
