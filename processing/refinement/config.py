@@ -39,6 +39,8 @@ class RefineConfig:
     """Error of the model of one channel's reading, as a share of the reading."""
     noise_shade_gloss: float = 0.03
     """`noise_shade` in the search for gloss, where colour counts more than the model of light."""
+    noise_shade_choice: float = 0.06
+    """`noise_shade` in the choice of the model of light, where colour counts still more."""
     noise_shade: float = 0.003
     """Error of a pattern's modelled irradiance, as a share of it, in all channels alike."""
     gloss_rounds: int = 3
@@ -107,6 +109,11 @@ class RefineConfig:
     def gloss_noise(self) -> Noise:
         """Of the readings, for gloss."""
         return Noise(self.noise_sensor, self.noise_model, self.noise_shade_gloss, self.noise_floor)
+
+    @property
+    def choice_noise(self) -> Noise:
+        """Of the readings, for the choice of the model of light."""
+        return Noise(self.noise_sensor, self.noise_model, self.noise_shade_choice, self.noise_floor)
 
     detail_edge_mm: float = 0.0
     """Length of the edges of detailed_mesh.ply, the base mesh displaced so that it has the specular

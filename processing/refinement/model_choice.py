@@ -8,6 +8,10 @@ one axis after the other are left out, and predicted from the rest: a gradient a
 together, for each is `full` less the other whatever the face. A step is taken where it predicts
 better, by more than a margin and than what parts of the face differ by.
 
+Noisy readings choose wrongly: what a model errs by in colour, which distinguishes the lobes, then
+weighs little beside what the mesh errs by in all colours alike. So readings are averaged over
+neighbouring pixels first.
+
 Source: [Stone1974] for choice by cross-validation.
 """
 
@@ -20,6 +24,7 @@ import numpy as np
 
 from lightstage.patterns import complement
 from processing.lighting.facets import BECKMANN, Facets
+from processing.refinement.averaging import averaged, averaged_side
 from processing.refinement.config import RefineConfig
 from processing.refinement.gloss import better_gloss, sum_at_vertices
 from processing.refinement.joint import (
@@ -29,10 +34,11 @@ from processing.refinement.joint import (
     held_out,
     solve_jointly,
 )
-from processing.refinement.scene import Scene, View, given_of, steady
+from processing.refinement.scene import Scene, View, edge_distance, given_of, steady
 
-FIRST_ROUNDS, ROUNDS = 3, 2
-"""Steps by which gloss and normals are fitted to the simplest model, and from it to another."""
+ROUNDS = 3
+"""Steps by which gloss and normals are fitted to each model, from the same start: a model that went
+on from another's gloss would be farther from its own best."""
 STRETCH = 1.2
 """By what factor a lobe's stretch is tried wider, as long as that helps."""
 MOST_STRETCHED = 2.0
@@ -51,8 +57,9 @@ LEAST_PIXELS = 20
 HOPELESS = -0.02
 """A step that gains less is not tried again beside another one."""
 FIRST_LOOK = 4
-"""Of so many pairs of pixels, one that is fitted to and one that is predicted, one is looked at
-first; a step that is hopeless by more than its error there is not tried with all of them."""
+"""Of so many pairs of pixels, one that is fitted to and one that is predicted, one is inspected
+first, and both models are fitted to these alone; a step that is hopeless by more than its error
+there is not tried with all of them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,7 +121,7 @@ class Sample:
 
     def thinned(self) -> Sample:
         """One of `FIRST_LOOK` pairs of its pixels."""
-        some = in_first_look(len(self.band))
+        some = np.arange(len(self.band)) // 2 % FIRST_LOOK == 0
         whole = Scattered(self.whole.kept, self.whole.rest[some])
         return Sample(self.view, self.band[some], self.trust[some], self.part[some], whole)
 
@@ -133,24 +140,12 @@ class Fitted:
 
     Attributes:
         scene: with the model and its gloss.
-        normals: of each view's sample.
         errors: of each view's sample, squared errors of left-out readings over their variance; NaN
             where none was predicted.
     """
 
     scene: Scene
-    normals: list[np.ndarray]
     errors: list[np.ndarray]
-
-    def thinned(self) -> Fitted:
-        """Of the samples' thinned ones."""
-        normals = [each[in_first_look(len(each))] for each in self.normals]
-        return Fitted(self.scene, normals, [each[::FIRST_LOOK] for each in self.errors])
-
-
-def in_first_look(count: int) -> np.ndarray:
-    """(count,) bool, one of `FIRST_LOOK` pairs of neighbours in a sample."""
-    return np.asarray(np.arange(count) // 2 % FIRST_LOOK == 0)
 
 
 def best_model(
@@ -173,27 +168,33 @@ def best_model(
         The scene with its model, and gloss to start from; the steps that were tried last.
     """
     groups = left_out_groups(scene.lights.patterns)
-    samples = list(sampled(views, wandering, config))
+    side = averaged_side(config.noise_sensor)
+    config = dataclasses.replace(config, noise_sensor=config.noise_sensor / side)
+    samples = list(sampled([averaged(view, side) for view in views], wandering, config, side))
     few = [sample.thinned() for sample in samples]
+
+    def fit(model: Model, to: list[Sample]) -> Fitted:
+        return fitted(scene, model, to, groups, bounced, config)
+
     model = Model()
-    best = fitted(scene, model, samples, groups, bounced, config, FIRST_ROUNDS)
+    best, of_few = fit(model, samples), fit(model, few)
     steps: dict[str, Step] = {}
     while True:
-        tried: list[tuple[Step, Model, Fitted]] = []
+        tried: list[tuple[Step, Model, Fitted, Fitted]] = []
         for name, richer in richer_models(model, bounced is not None, len(config.scattering)):
             if name in steps and steps[name].gain < HOPELESS:
                 continue
-            for some, simple in ((few, best.thinned()), (samples, best)):
-                rich = fitted(simple.scene, richer, some, groups, bounced, config, ROUNDS, simple)
-                step = compared(name, simple, rich, some, richer.facets.stretch != 1)
-                if step.gain + SURE * step.error < HOPELESS:
-                    break
-            steps[name] = step
-            tried.append((step, richer, rich))
+            oriented = richer.facets.stretch != 1
+            rich_few = fit(richer, few)
+            steps[name] = compared(name, of_few, rich_few, few, oriented)
+            if steps[name].gain + SURE * steps[name].error >= HOPELESS:
+                rich = fit(richer, samples)
+                steps[name] = compared(name, best, rich, samples, oriented)
+                tried.append((steps[name], richer, rich, rich_few))
         taken = [each for each in tried if each[0].taken]
         if not taken:
             return best.scene, list(steps.values())
-        step, model, best = max(taken, key=lambda each: each[0].gain)
+        step, model, best, of_few = max(taken, key=lambda each: each[0].gain)
         for other in taken:
             steps[other[0].name] = dataclasses.replace(other[0], taken=other[0] is step)
 
@@ -249,14 +250,19 @@ def richer_models(model: Model, bounces: bool, amounts: int) -> Iterator[tuple[s
 
 
 def sampled(
-    views: list[View], wandering: list[Scattered], config: RefineConfig
+    views: list[View], wandering: list[Scattered], config: RefineConfig, side: int
 ) -> Iterator[Sample]:
-    """About `config.choice_pixels` pixels, as many of each view, spread evenly."""
+    """About `config.choice_pixels` pixels, as many of each view, spread evenly.
+
+    Readings are means over `side` pixels a side; those that reach beyond an edge have no trust.
+    """
     each = max(1, config.choice_pixels // len(views))
     for view, whole in zip(views, wandering, strict=True):
         band = np.arange(0, len(view.rgb), -(-len(view.rgb) // each))
         rest = Scattered(whole.kept, whole.rest[band])
-        trust = np.where(view.usable[band], steady(view, config)[band], 0)
+        sight = view.sight
+        inside = edge_distance(sight.mask, sight.depth_mm, config)[sight.mask] > side // 2
+        trust = np.where(view.usable & inside, steady(view, config), 0)[band]
         yield Sample(view, band, trust, orientation(view, band), rest)
 
 
@@ -278,8 +284,6 @@ def fitted(
     groups: np.ndarray,
     bounced: np.ndarray | None,
     config: RefineConfig,
-    rounds: int,
-    before: Fitted | None = None,
 ) -> Fitted:
     """Gloss fitted to every other pixel, and how the pixels between them predict their readings.
 
@@ -292,8 +296,8 @@ def fitted(
         scene, facets=model.facets, bounced=light, bounces=float(model.bounces), scattering=amount
     )
     arounds = [sample.around(amount) for sample in samples]
-    normals = [_starts(sample) for sample in samples] if before is None else [*before.normals]
-    for _ in range(rounds):
+    normals = [_starts(sample) for sample in samples]
+    for _ in range(ROUNDS):
         sums = np.zeros((len(scene.surface.vertices), 5))
         for k, sample in enumerate(samples):
             given = _given(scene, sample, normals[k], arounds[k], config)
@@ -322,7 +326,7 @@ def fitted(
         off = held_out(given, groups).mean(axis=1)
         good = (solved.misfit > 0) & (sample.trust[held] > 0.5)
         errors.append(np.where(good, off, np.nan))
-    return Fitted(scene, normals, errors)
+    return Fitted(scene, errors)
 
 
 def _starts(sample: Sample) -> np.ndarray:
@@ -341,7 +345,8 @@ def _given(
 ) -> Given:
     """What `joint` takes of some of a sample's pixels."""
     part = Scattered(around.kept, around.rest[some])
-    return given_of(scene, sample.view, sample.band[some], normals[some], part, config.gloss_noise)
+    noise, band = config.choice_noise, sample.band[some]
+    return given_of(scene, sample.view, band, normals[some], part, noise)
 
 
 def compared(

@@ -14,11 +14,13 @@ from lightstage.formats.mesh import Mesh
 from processing.lighting.facets import BECKMANN, Facets, horizontal, unmasked
 from processing.lighting.interface import mirrored, skin_interface, smith
 from processing.lighting.lobe import SKIN_F0, fresnel_table, transport
+from processing.refinement import model_choice
 from processing.refinement.config import RefineConfig
 from processing.refinement.model_choice import (
     MARGIN,
     SIDES,
     Fitted,
+    Sample,
     Step,
     best_model,
     compared,
@@ -96,15 +98,53 @@ def test_the_family_that_was_photographed_is_found(scene: Scene, facets: Facets)
     assert found.facets.covers == facets.covers
 
 
+@pytest.mark.parametrize("facets", [BECKMANN, Facets(tails=True)], ids=lambda each: each.name)
+@pytest.mark.parametrize("noise", [0.002, 0.004])
+def test_the_family_is_found_in_noisy_photographs(
+    scene: Scene, facets: Facets, noise: float
+) -> None:
+    config = dataclasses.replace(CONFIG, noise_sensor=noise, noise_floor=1.0)
+    found, _ = chosen(scene, view(scene, facets, noise), config=config)
+    assert found.facets == facets
+
+
+def test_a_look_at_few_pixels_compares_models_that_were_both_fitted_to_these(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A model that was fitted to more pixels predicts better, whichever model it is."""
+    pairs: list[tuple[int, int]] = []
+    compare = model_choice.compared
+    fit = model_choice.fitted
+    fitted_to: dict[int, int] = {}
+
+    def fitting(scene: Scene, model: object, samples: list[Sample], *others: object) -> Fitted:
+        found = fit(scene, model, samples, *others)  # type: ignore[arg-type]
+        fitted_to[id(found)] = sum(len(sample.band) for sample in samples)
+        kept.append(found)
+        return found
+
+    def comparing(name: str, simple: Fitted, rich: Fitted, *others: object) -> Step:
+        pairs.append((fitted_to[id(simple)], fitted_to[id(rich)]))
+        return compare(name, simple, rich, *others)  # type: ignore[arg-type]
+
+    kept: list[Fitted] = []
+    monkeypatch.setattr(model_choice, "fitted", fitting)
+    monkeypatch.setattr(model_choice, "compared", comparing)
+    chosen(scene, view(scene, Facets(tails=True)))
+    assert len({few for few, _ in pairs}) == 2
+    assert all(simple == rich for simple, rich in pairs)
+
+
 def test_a_stretch_that_one_side_of_the_face_alone_asks_for_is_not_taken(scene: Scene) -> None:
     seen = view(scene, BECKMANN)
-    sample = next(sampled([seen], [unscattered(len(seen.rgb), len(LIGHTS.patterns))], CONFIG))
+    around = unscattered(len(seen.rgb), len(LIGHTS.patterns))
+    sample = next(sampled([seen], [around], CONFIG, side=3))
     asked = sample.part[1::2]
     usual = np.ones(len(asked))
-    simple = Fitted(scene, [], 6 * [usual])
+    simple = Fitted(scene, 6 * [usual])
 
     def step(better: np.ndarray, oriented: bool) -> Step:
-        rich = Fitted(scene, [], 6 * [np.where(better, 0.5, usual)])
+        rich = Fitted(scene, 6 * [np.where(better, 0.5, usual)])
         return compared("wider sideways", simple, rich, 6 * [sample], oriented)
 
     everywhere, one_side = np.full(len(asked), True), asked % SIDES == 1
