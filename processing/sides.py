@@ -36,8 +36,14 @@ def side_hits(mesh: Mesh, side_deg: float, side_px: int) -> Hits:
     return rays.cast(flat, np.broadcast_to(-toward, flat.shape))
 
 
-def lit_sides(mesh: Mesh, side_px: int) -> np.ndarray:
-    """(side_px, 3 side_px, 3) uint8: the mesh lit from above, on white; its inside is blue."""
+def lit_sides(mesh: Mesh, side_px: int, tints: np.ndarray | None = None) -> np.ndarray:
+    """(side_px, 3 side_px, 3) uint8: the mesh lit from above, on white; its inside is blue.
+
+    Args:
+        mesh: mm, its face looking along +z.
+        side_px: rows.
+        tints: (t, 3) colours of its triangles, 0..1; None for grey alone.
+    """
     normals = vertex_normals(mesh.vertices, mesh.triangles())
     shown = []
     for side_deg in SIDES_DEG:
@@ -50,6 +56,8 @@ def lit_sides(mesh: Mesh, side_px: int) -> np.ndarray:
         lamp = toward + 0.5 * across + np.array([0.0, 0.6, 0.0])
         shade = np.clip(normal @ (lamp / np.linalg.norm(lamp)), 0, 1)
         grey = np.repeat(np.round(30 + 215 * shade)[:, None], 3, axis=1)
+        if tints is not None:
+            grey = np.round(grey * tints[hits.face])
         grey[normal @ toward < 0] = INSIDE
         grey[hits.face < 0] = 255
         shown.append(grey.astype(np.uint8).reshape(side_px, side_px, 3))

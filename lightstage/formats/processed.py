@@ -59,6 +59,11 @@ class ProcessedFolder:
         return self.root / "occluders.ply"
 
     @property
+    def hull(self) -> Path:
+        """The last triangles of `occluders`, where these are no measured surface, mm, world."""
+        return self.root / "work" / "hull.ply"
+
+    @property
     def detailed_mesh(self) -> Path:
         """The base mesh with the specular normals' relief, mm, world, where it was asked for."""
         return self.root / "detailed_mesh.ply"

@@ -61,6 +61,8 @@ class ReconstructConfig:
         occluders: PLY or OBJ file of what else casts shadows on the skin or hides it, such as
             clothes, hair and glasses, in the same axes; empty for what the pictures show of it.
         find_occluders: find it where no file is named.
+        find_hull: where it is searched for, add a coarse hull of what shows in two photographs and
+            was not matched.
         colmap_to: folder to which pictures, poses and depth maps are written in COLMAP's formats;
             empty for none.
         colmap_from: such a folder whose depth maps are taken in place of our own matching; empty
@@ -102,5 +104,6 @@ class ReconstructConfig:
     mesh: str = ""
     occluders: str = ""
     find_occluders: bool = True
+    find_hull: bool = True
     colmap_to: str = ""
     colmap_from: str = ""

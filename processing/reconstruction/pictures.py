@@ -19,6 +19,8 @@ LARGEST_MM = 0.5
 """Distance to the truth that is drawn brightest."""
 ENOUGH = 3
 """Agreement of so many other views is drawn brightest."""
+HULL = (1.0, 0.8, 0.3)
+"""Tint of what is no measured surface among the occluders: yellow."""
 UNSEEN = (150, 40, 40)
 """Colour of foreground on which no other view agrees."""
 
@@ -42,6 +44,7 @@ def write_pictures(
     shown: Mapping[str, np.ndarray],
     mesh: Mesh,
     occluders: Mesh | None = None,
+    hull_faces: int = 0,
 ) -> None:
     """Write each view's `coverage` and the meshes into a processed folder, for the report.
 
@@ -50,12 +53,15 @@ def write_pictures(
         shown: of each camera (h, w, 3) uint8, its `coverage`; none where nothing was matched.
         mesh: mm, world.
         occluders: what else casts shadows, mm, world.
+        hull_faces: how many of their last triangles are a hull, which is drawn in `HULL`.
     """
     for earlier in [*_folder(out).glob("coverage-*.png"), _occluders(out)]:
         earlier.unlink(missing_ok=True)
     write_png(_folder(out) / "mesh.png", lit_sides(mesh, SIDE_PX))
     if occluders is not None:
-        write_png(_occluders(out), lit_sides(occluders, SIDE_PX))
+        of_hull = np.arange(len(occluders.triangles())) >= len(occluders.triangles()) - hull_faces
+        tints = np.where(of_hull[:, None], HULL, 1.0)
+        write_png(_occluders(out), lit_sides(occluders, SIDE_PX, tints))
     for name, image in shown.items():
         write_png(_folder(out) / f"coverage-{name}.png", image)
     _distance(out).unlink(missing_ok=True)  # that of an earlier mesh
@@ -85,7 +91,9 @@ def mesh_section(out: Path) -> Section | None:
     occluders = _read(_occluders(out))
     if occluders is not None:
         caption = (
-            "What else casts shadows and hides skin, from three sides. No skin should be in it."
+            "What else casts shadows and hides skin, from three sides. No skin should be in it. "
+            "Yellow: a coarse hull of what shows in two photographs and was not matched; it is "
+            "used for shadows alone."
         )
         parts.append(Picture(occluders, caption, "occluders", lossless=True))
     distance = _read(_distance(out))

@@ -24,6 +24,7 @@ from processing.reconstruction.colmap_folder import read_colmap, write_colmap
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.fusion import Holes, alone_share, boundary_loops
 from processing.reconstruction.given import facts_of_occluders, given_mesh, read_given
+from processing.reconstruction.hull import KEEP_MM, Hull, found_hull
 from processing.reconstruction.occluders import OthersBeside, apart, found_occluders, nothing_beside
 from processing.reconstruction.pictures import coverage, write_pictures
 from processing.reconstruction.poses import (
@@ -45,7 +46,7 @@ from processing.reconstruction.small_views import (
 from processing.reconstruction.stereo import focus_point, match_views, sources_of
 from processing.reconstruction.two_passes import Depths, as_known, meshed, reconstruct_in_two_rounds
 from processing.reconstruction.views import View, common_basis, make_view, pyramid
-from processing.reconstruction.worn import Coloured, without_worn
+from processing.reconstruction.worn import Coloured, joined, without_worn
 
 __all__ = ["ReconstructConfig", "reconstruct", "reconstruct_views"]
 
@@ -68,6 +69,8 @@ class Reconstructed(NamedTuple):
         facts: JSON-ready.
         shown: of each camera (h, w, 3) uint8, its `coverage`.
         occluders: what else casts shadows, mm, world; None for nothing, or where it was not wanted.
+        hull: what may cast shadows where nothing was matched, beside the occluders; None for
+            nothing.
     """
 
     mesh: Mesh
@@ -75,6 +78,7 @@ class Reconstructed(NamedTuple):
     facts: dict[str, Any]
     shown: dict[str, np.ndarray]
     occluders: Mesh | None
+    hull: Hull | None = None
 
 
 def reconstruct(
@@ -87,7 +91,8 @@ def reconstruct(
     """Reconstruct the face and neck, and write OUT/base_mesh.ply (mm, world).
 
     Where the configuration names a mesh, that one is written instead; what it names as occluders
-    is written as OUT/occluders.ply.
+    is written as OUT/occluders.ply. What is found of them, with the hull of what was not matched
+    at its end, is written there too, and the hull alone in the folder `work`.
 
     Args:
         session: for its rig.
@@ -107,16 +112,19 @@ def reconstruct(
     """
     make = _given if config.mesh else _matched
     poses, found, warnings = make(session, out, config, progress, normals)
-    mesh, holes, facts, shown, occluders = found
+    mesh, holes, facts, shown, occluders, hull = found
     if config.occluders and occluders is not None:
         cameras = [session.rig.camera(name) for name in session.camera_ids()]
         facts |= facts_of_occluders(Path(config.occluders), occluders, mesh, cameras)
     folder = ProcessedFolder(out)
-    if occluders is None:
-        folder.occluders.unlink(missing_ok=True)  # those of an earlier run
-    else:
+    for earlier in (folder.occluders, folder.hull):
+        earlier.unlink(missing_ok=True)
+    if hull is not None:
+        occluders = joined(occluders, hull.mesh)
+        write_ply(hull.mesh, folder.hull)
+    if occluders is not None:
         write_ply(occluders, folder.occluders)
-    write_pictures(out, shown, mesh, occluders)
+    write_pictures(out, shown, mesh, occluders, 0 if hull is None else len(hull.mesh.faces))
     write_ply(mesh, folder.base_mesh)
     return {
         "vertices": len(mesh.vertices),
@@ -126,6 +134,8 @@ def reconstruct(
         "hole_lengths_mm": [round(length, 1) for length in holes.lengths_mm[:20]],
         **facts,
         "occluder_faces": 0 if occluders is None else len(occluders.faces),
+        "hull_cm2": 0.0 if hull is None else round(hull.area_cm2, 1),
+        "hull_keeps_off_skin_mm": KEEP_MM,
         "pose_residual_px": {
             camera: None if np.isnan(residual) else round(residual, 3)
             for camera, residual in zip(poses.camera_ids, poses.residual_px, strict=True)
@@ -160,7 +170,9 @@ def _given(
     looked = config.find_occluders and normals and not config.occluders and len(cameras) > 1
     views = read_views(session, out, config)[0] if looked else []
     occluders = others_beside(views, config, normals)(mesh)
-    return Made(poses, Reconstructed(mesh, boundary_loops(mesh), facts, {}, occluders), warnings)
+    hull = found_hull(views, mesh, occluders) if looked and config.find_hull else None
+    found = Reconstructed(mesh, boundary_loops(mesh), facts, {}, occluders, hull)
+    return Made(poses, found, warnings)
 
 
 def _matched(
@@ -186,6 +198,8 @@ def _matched(
         found = found._replace(occluders=apart(found.occluders, found.mesh))
     if config.find_occluders and not config.occluders and normals:
         found = _undressed(found, session, out)
+        if config.find_hull:
+            found = found._replace(hull=found_hull(views, found.mesh, found.occluders))
     empty = [view.camera.id for view in views if not np.isfinite(view.textures).any()]
     warnings = [f"{camera} shows nothing and was not used" for camera in empty]
     warnings += [] if normals else [f"{', '.join(lights.patterns)}: {PICTURES_ALONE}"]

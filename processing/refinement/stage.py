@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.errors import FormatError
 from lightstage.formats.mesh import Mesh, read_ply, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
@@ -50,7 +51,7 @@ def refine(
     lights = pattern_lights(session, read_frames(out, cameras[0].id).patterns)
     seen_by = [(camera, read_foreground(out, camera.id)) for camera in cameras]
     occluders = read_ply(folder.occluders) if folder.occluders.is_file() else None
-    others = seen_occluders(mesh, occluders, seen_by)
+    others = seen_occluders(mesh, measured_alone(occluders, folder), seen_by)
     seen_by = [(camera, lit & ~others[camera.id]) for camera, lit in seen_by]
     if not fix_normals(lights):
         return keep_coarse(folder, mesh, lights, seen_by, config, occluders, progress)
@@ -133,6 +134,30 @@ def with_noise(
             white = np.hypot(found.sensor, dark)
             return scene, config, f"measured: {dark:.2g} without light, {white:.2g} of a white"
     return scene, config, "as configured"
+
+
+def measured_alone(occluders: Mesh | None, folder: ProcessedFolder) -> Mesh | None:
+    """The occluders without the hull at their end, which casts shadows and is no surface.
+
+    A pixel that shows the hull shows something that was not matched. It may be skin: it keeps its
+    coarse maps, as without the hull.
+
+    Raises:
+        FormatError: a hull that is no part of these occluders.
+    """
+    if occluders is None or not folder.hull.is_file():
+        return occluders
+    hull, triangles = read_ply(folder.hull), occluders.triangles()
+    first = len(triangles) - len(hull.faces)
+    start = len(occluders.vertices) - len(hull.vertices)
+    if min(first, start) < 0 or not np.array_equal(triangles[first:], hull.faces + start):
+        raise FormatError(
+            folder.hull,
+            found="a hull that is not at the end of occluders.ply",
+            expected="both of one run of `reconstruct`",
+            hint="Run `lightstage-processing reconstruct` again.",
+        )
+    return Mesh(occluders.vertices[:start], triangles[:first]) if first else None
 
 
 def seen_occluders(

@@ -11,6 +11,7 @@ import pytest
 
 from lightstage.commands import quiet
 from lightstage.formats.mesh import Mesh, read_ply, write_ply
+from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
 from lightstage.rig import Rig, default_rig
 from processing.closest import ClosestPoints
@@ -19,9 +20,11 @@ from processing.pipeline import run
 from processing.pipeline_config import PipelineConfig
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.fusion import compact
+from processing.reconstruction.hull import KEEP_MM, STEPPED
 from processing.reconstruction.occluders import apart, found_occluders, nothing_beside
 from processing.reconstruction.stage import others_beside
 from processing.reconstruction.views import View
+from processing.refinement.stage import measured_alone
 from sim.light.world import World
 from sim.people.clothing import collar, dressed
 from sim.people.subject import Subject
@@ -134,11 +137,20 @@ def test_a_collar_of_any_colour_is_found_and_is_no_part_of_the_skins_mesh(
         PipelineConfig(), reconstruct=ReconstructConfig(splits=0, look_again=False)
     )
     report = run(session, out, default_template_path(), config, until="reconstruct")
-    found = read_ply(out / "occluders.ply")
-    assert report["stages"]["reconstruct"]["occluder_faces"] == len(found.faces)
+    facts, folder = report["stages"]["reconstruct"], ProcessedFolder(out)
+    every, hull, skin_mesh = (
+        read_ply(path) for path in (folder.occluders, folder.hull, folder.base_mesh)
+    )
+    assert facts["occluder_faces"] == len(every.faces)
+    assert facts["hull_cm2"] == pytest.approx(len(hull.faces) * 0.045 / STEPPED, abs=0.1)
+    from_skin = ClosestPoints(skin_mesh.vertices, skin_mesh.faces).query(hull.vertices)
+    assert from_skin.distance_mm.min() > facts["hull_keeps_off_skin_mm"] == KEEP_MM
+    # The hull is behind what was matched too, where no camera looks: the rest is cloth.
+    found = measured_alone(every, folder)
+    assert found is not None
     closest = ClosestPoints(clothes.vertices, clothes.faces)
     nearest = closest.query(found.vertices)
-    skin = closest.query(read_ply(out / "base_mesh.ply").vertices)
+    skin = closest.query(skin_mesh.vertices)
     for number, name in enumerate(CLOTHS):
         there = third[nearest.face] == number
         assert there[found.faces].all(axis=1).sum() > 500, name
