@@ -22,6 +22,7 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
 from lightstage.interrupts import handlers_kept, interrupted, raise_on_signals
 from tests.forked import quickly
+from tests.memory import MEMORY, TEMPORARY, has_room
 from tests.programs import Ended, run_program
 from tests.slow import slow_files
 
@@ -31,7 +32,12 @@ hypothesis.settings.load_profile("project")
 
 
 def pytest_configure() -> None:
-    """A shell's background jobs and nohup ignore signals, and so do all processes begun by them."""
+    """Temporary files are in memory where it has room; signals do what they usually do.
+
+    A shell's background jobs and nohup ignore signals, and so do all processes begun by them.
+    """
+    if TEMPORARY not in os.environ and has_room(MEMORY):
+        os.environ[TEMPORARY] = str(MEMORY)
     usual = {signal.SIGINT: signal.default_int_handler, signal.SIGHUP: signal.SIG_DFL}
     for number, handler in usual.items():
         if signal.getsignal(number) is signal.SIG_IGN:

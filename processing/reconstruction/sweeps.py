@@ -2,6 +2,10 @@
 
 A half-sweep of `propagate` writes the pixels of one colour of a chequerboard and reads neighbours
 of the other colour, so the result does not depend on the number of threads.
+
+Numba types the index of a parallel loop with a sign when it infers types and without one when it
+compiles the loop's body, and compiles a function that is called with it for both. Loops that call
+functions of `patches` give them an index whose type they state.
 """
 
 from __future__ import annotations
@@ -50,8 +54,9 @@ def sweep(
     """
     picture = stereo.pictures[stereo.reference]
     height, width = picture.shape[0], picture.shape[1]
-    for row in prange(height):
+    for line in prange(height):
         patch = new_patch(stereo)
+        row = np.int64(line)  # see the file's docstring
         for column in range(width):
             inverse_depth[row, column] = ZERO
             cost[row, column] = NO_MATCH
@@ -159,8 +164,9 @@ def propagate(
     picture = stereo.pictures[stereo.reference]
     slopes, step = stereo.slopes, stereo.step
     height, width = picture.shape[0], picture.shape[1]
-    for row in prange(height):
+    for line in prange(height):
         patch = new_patch(stereo)
+        row = np.int64(line)  # see the file's docstring
         for column in range((row + colour) % 2, width, 2):
             if math.isnan(picture[row, column, 0]):
                 continue

@@ -117,7 +117,8 @@ def solve_kernel(
     rgb, points, views, roughness = pixels.rgb, pixels.points, pixels.views, pixels.roughness
     corners, weights, rests = pixels.corners, pixels.weights, pixels.rests
     patterns = rgb.shape[1]
-    for i in prange(len(rgb)):
+    for index in prange(len(rgb)):
+        i = np.int64(index)  # else numba compiles `_keep` for uint64 too
         n = pixels.starts[i].copy()
         if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and roughness[i] > 0):
             continue
@@ -237,7 +238,8 @@ def fitted_kernel(
     either takes as long to compile: nearly all of it is the equations that they share.
     """
     patterns = pixels.rgb.shape[1]
-    for i in prange(len(pixels.rgb)):
+    for index in prange(len(pixels.rgb)):
+        i = np.int64(index)  # else numba compiles `_face` for uint64 too
         n = pixels.starts[i]
         if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and pixels.roughness[i] > 0):
             continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import warnings
 
 import numpy as np
@@ -32,18 +33,23 @@ LIGHTS = lit_ball.lights_of_rig(lit_ball.small_rig())
 SEEDS = st.integers(0, 2**31)
 
 
-def make_surface() -> LitSurface:
+def make_mesh() -> Mesh:
     import trimesh
 
     shape = trimesh.creation.icosphere(2, 20.0)
-    mesh = Mesh(np.asarray(shape.vertices), np.asarray(shape.faces, np.int32))
+    return Mesh(np.asarray(shape.vertices), np.asarray(shape.faces, np.int32))
+
+
+MESH = make_mesh()
+COUNT = len(MESH.vertices)
+
+
+@functools.cache
+def surface() -> LitSurface:
+    """The mesh under the lamps."""
     return lit_surface(
-        mesh, LIGHTS, offset_mm=0.1, smoothing_mm=0, directions=8, most_faces=10**6, finest_mm=50
+        MESH, LIGHTS, offset_mm=0.1, smoothing_mm=0, directions=8, most_faces=10**6, finest_mm=50
     )
-
-
-SURFACE = make_surface()
-COUNT = len(SURFACE.vertices)
 
 
 def perturbed_sums(offsets_s: np.ndarray, offsets_m: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -61,7 +67,7 @@ def better(gloss: Gloss, sums: np.ndarray, pool_mm: float = 6.0, prior: float = 
         return better_gloss(
             gloss,
             sums,
-            SURFACE,
+            surface(),
             roughness_pool_mm=pool_mm,
             specular_pool_mm=pool_mm,
             prior=prior,
@@ -87,7 +93,7 @@ def test_means_over_a_meshs_neighbours_are_those_of_a_sparse_product(
     seed: int, columns: int
 ) -> None:
     values = np.random.default_rng(seed).normal(size=(COUNT, columns))
-    average = SURFACE.average
+    average = surface().average
     # Vertices of an icosphere have six neighbours or five: rows of seven numbers and of six.
     assert set(np.diff(average.indptr)) == {6, 7}
     known = average @ (average @ (average @ values))
@@ -105,7 +111,7 @@ def test_gloss_that_all_pixels_agree_on_is_found_in_one_step(pool_mm: float) -> 
 
 def test_gloss_that_varies_over_the_face_is_followed() -> None:
     gloss = skin_gloss(COUNT, 0.28)
-    side = SURFACE.vertices[:, 0] / 20
+    side = surface().vertices[:, 0] / 20
     # Evidence of one strength, so that pooling is a mean of the offsets.
     sums = np.tile([1e4, 0.0, 1e4, 0.0, 0.0], (COUNT, 1))
     sums[:, 3] = 1e4 * 0.01 * side
@@ -117,7 +123,7 @@ def test_gloss_that_varies_over_the_face_is_followed() -> None:
 
 def test_places_that_say_nothing_get_the_whole_faces_answer() -> None:
     sums = perturbed_sums(np.full(COUNT, 0.01), np.full(COUNT, 0.02))
-    silent = SURFACE.vertices[:, 2] < -5
+    silent = surface().vertices[:, 2] < -5
     sums[silent] = 0
     found = better(skin_gloss(COUNT, 0.28), sums, pool_mm=0.0)
     np.testing.assert_allclose(found.roughness, 0.30, atol=1e-9)
@@ -220,12 +226,12 @@ def test_where_all_of_a_pool_may_be_mistaken_only_the_level_and_the_detail_count
 
 def test_places_that_may_be_mistaken_take_the_faces_level() -> None:
     sums = np.tile([1e8, 0.0, 1e8, 0.0, 0.0], (COUNT, 1))
-    bright = SURFACE.vertices[:, 0] > 0
+    bright = surface().vertices[:, 0] > 0
     sums[bright, 3] = 1e8 * 0.02
     given = {"roughness_pool_mm": 6.0, "specular_pool_mm": 6.0, "prior": 0.0, "spread": 0.003}
     gloss = skin_gloss(COUNT, 0.28)
-    sure = better_gloss(gloss, sums, SURFACE, **given)
-    doubted = better_gloss(gloss, sums, SURFACE, **given, wrong=np.full(COUNT, 0.006))
+    sure = better_gloss(gloss, sums, surface(), **given)
+    doubted = better_gloss(gloss, sums, surface(), **given, wrong=np.full(COUNT, 0.006))
     middle = sure.specular.mean()
     share = (doubted.specular - middle).std() / (sure.specular - middle).std()
     assert share == pytest.approx(1 / (1 + (0.006 / 0.003) ** 2), rel=0.02)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
 
@@ -19,7 +20,7 @@ from processing.lighting.polarisers import diffuse_shares, mirror_lights, mirror
 from processing.normals import solve_far_normals
 from processing.separation.config import MirrorConfig
 from processing.separation.lobe_fit import with_detail
-from processing.separation.lobe_table import lobe_table, table_lobe
+from processing.separation.lobe_table import LobeTable, lobe_table, table_lobe
 from processing.separation.mirror import mirror_normals
 from processing.separation.trust import normal_trust
 from sim.light.polarised import PolariserConfig, facet_shares, lamp_axes, lens_axis
@@ -34,8 +35,14 @@ BINARY = shots.rig_lights(RIG, SEQUENCES["binary"])
 LINEAR = shots.rig_lights(RIG, SEQUENCES["linear"])
 WIDTHS = (0.18, 0.22, 0.26, 0.30, 0.34)
 FRONT = SIGHT.views.mean(axis=0)
-TABLES = {name: lobe_table(x, FRONT, WIDTHS) for name, x in (("b", BINARY), ("l", LINEAR))}
+LIT = {"b": BINARY, "l": LINEAR}
 WIDE = MirrorConfig(spread_deg=30.0)
+
+
+@functools.cache
+def table(name: str) -> LobeTable:
+    """The lobe under the lights `LIT[name]`, from the front."""
+    return lobe_table(LIT[name], FRONT, WIDTHS)
 
 
 def bent(degrees: float) -> np.ndarray:
@@ -62,7 +69,7 @@ def found(
     reading = reading + np.random.default_rng(0).normal(0, 1, reading.shape) * noise
     sigma = np.full(reading.shape, max(noise, 1e-6))
     result = mirror_normals(
-        reading, sigma, TABLES[name], SIGHT.normals, SIGHT.views, roughness, config
+        reading, sigma, table(name), SIGHT.normals, SIGHT.views, roughness, config
     )
     start = angle_deg(SIGHT.normals, truth)[INNER]
     return start, angle_deg(result.normal, truth)[INNER], np.degrees(result.sigma_rad)[INNER]
@@ -73,7 +80,7 @@ def test_the_table_is_the_lobe() -> None:
     points = (SIGHT.points_mm, SIGHT.normals, SIGHT.views)
     for m in (0.2, 0.26):
         known = transport(BINARY, *points, m, sky)[1]
-        off = np.abs(table_lobe(TABLES["b"], SIGHT.normals, SIGHT.views, m) - known)
+        off = np.abs(table_lobe(table("b"), SIGHT.normals, SIGHT.views, m) - known)
         steep = (SIGHT.normals * SIGHT.views).sum(axis=1) > 0.7
         # Views differ by some degrees: toward the rim the same direction is met at other angles.
         assert off[steep].mean() < 0.03 * known[steep].mean()
@@ -83,7 +90,7 @@ def test_the_table_is_the_lobe() -> None:
 @pytest.mark.parametrize("name", ["b", "l"])
 @pytest.mark.parametrize("roughness", [0.2, 0.3])
 def test_mirror_directions_find_facets_that_the_ratios_miss(name: str, roughness: float) -> None:
-    lights = BINARY if name == "b" else LINEAR
+    lights = LIT[name]
     start, ours, _ = found(name, lights, roughness, 0.0, WIDE)
     np.testing.assert_allclose(start, 6.0, atol=1e-6)
     assert np.median(ours) < 0.8
@@ -92,7 +99,7 @@ def test_mirror_directions_find_facets_that_the_ratios_miss(name: str, roughness
 
 def test_ratios_saturate_at_the_step_and_less_so_in_linear_gradients() -> None:
     raw = {}
-    for name, lights in (("b", BINARY), ("l", LINEAR)):
+    for name, lights in LIT.items():
         reading = seen(lights, SIGHT.normals, 0.2)
         pairs = reading[:, 1:].reshape(-1, 3, 2)
         ratio = (pairs[..., 0] - pairs[..., 1]) / np.maximum(pairs.sum(axis=2), 1e-12)
@@ -122,7 +129,7 @@ def plain_costs(
     across /= np.linalg.norm(across)
     normal = start + turns @ np.stack([across, np.cross(start, across)])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    lobe = table_lobe(TABLES["b"], normal, np.tile(view, (len(turns), 1)), 0.25).astype(float)
+    lobe = table_lobe(table("b"), normal, np.tile(view, (len(turns), 1)), 0.25).astype(float)
     s = np.maximum(lobe @ reading, 0) / np.maximum((lobe**2).sum(axis=1), 1e-30)
     misfit = (((reading - s[:, None] * lobe) / 5e-4) ** 2).sum(axis=1)
     return np.asarray(misfit + (turns**2).sum(axis=1) / spread**2)
@@ -135,7 +142,7 @@ def test_the_solution_is_the_twins_minimum() -> None:
     spread = math.radians(4)
     some = np.flatnonzero(INNER)[:: INNER.sum() // 12]
     result = mirror_normals(
-        reading[some], np.full((len(some), 7), 5e-4), TABLES["b"], SIGHT.normals[some],
+        reading[some], np.full((len(some), 7), 5e-4), table("b"), SIGHT.normals[some],
         SIGHT.views[some], 0.25, MirrorConfig(spread_deg=4.0, rounds=12),
     )  # fmt: skip
     line = np.linspace(-0.15, 0.15, 41)
@@ -164,7 +171,7 @@ def test_facets_are_unit_and_finite_whatever_is_read(values: list[float], sigma:
     views = np.tile([0.0, 0.0, 1.0], (3, 1))
     reading = np.tile(np.array(values), (3, 1))
     result = mirror_normals(
-        reading, np.full((3, 7), sigma), TABLES["b"], start, views, 0.25, MirrorConfig()
+        reading, np.full((3, 7), sigma), table("b"), start, views, 0.25, MirrorConfig()
     )
     assert np.isfinite(result.normal).all()
     assert np.isfinite(result.sigma_rad).all()
@@ -176,7 +183,7 @@ def test_facets_are_unit_and_finite_whatever_is_read(values: list[float], sigma:
 def test_facets_do_not_depend_on_scale(scale: float) -> None:
     reading = seen(BINARY, bent(3.0), 0.25)[::40].astype(float)
     sigma = np.full(reading.shape, 1e-4)
-    where = (TABLES["b"], SIGHT.normals[::40], SIGHT.views[::40], 0.25, MirrorConfig())
+    where = (table("b"), SIGHT.normals[::40], SIGHT.views[::40], 0.25, MirrorConfig())
     one = mirror_normals(reading, sigma, *where)
     other = mirror_normals(reading * scale, sigma * scale, *where)
     np.testing.assert_allclose(other.normal, one.normal, atol=1e-4)

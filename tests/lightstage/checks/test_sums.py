@@ -20,7 +20,7 @@ NAMES = ["full", "x+", "x-", "y+", "y-", "z+", "z-", "dark", "lin-z+", "lin-z-",
 def photo(light, scale=1.0, noise=0.0, seed=0):
     """Measures of a picture (h, w) without colour."""
     rng = np.random.default_rng(seed)
-    counts = scale * (light + noise * rng.normal(size=light.shape))
+    counts = (scale * (light + noise * rng.normal(size=light.shape))).astype(np.float32)
     size = light.shape[1], light.shape[0]
     return measure_counts(counts, BAYER, 0.0, np.inf, size, "linear", Path("p"), 64, scale)
 
