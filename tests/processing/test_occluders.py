@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -119,10 +120,20 @@ CLOTHS = {
 }
 
 
-def test_a_collar_of_any_colour_is_found_and_is_no_part_of_the_skins_mesh(
-    tmp_path: Path, small_rig: Rig
-) -> None:
-    person = one_person()
+class Collared(NamedTuple):
+    """A person in a collar whose thirds are of three cloths, reconstructed."""
+
+    session: Path
+    out: ProcessedFolder
+    config: PipelineConfig
+    facts: dict[str, Any]
+    clothes: Mesh
+    third: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def collared(tmp_path_factory: pytest.TempPathFactory, small_rig: Rig) -> Collared:
+    root, person = tmp_path_factory.mktemp("collared"), one_person()
     clothes = collar(person)
     # Seen from the front, each third is of another cloth: one person shows them all.
     place = clothes.vertices[clothes.faces].mean(axis=1) - clothes.vertices.mean(axis=0)
@@ -131,26 +142,28 @@ def test_a_collar_of_any_colour_is_found_and_is_no_part_of_the_skins_mesh(
     for number, cloth in enumerate(CLOTHS.values()):
         part = compact(clothes.vertices, clothes.faces[third == number])
         wearer = dressed(wearer, part, cloth)
-    session = photographed(wearer, small_rig, tmp_path / "s")
-    out = tmp_path / "out"
+    session = photographed(wearer, small_rig, root / "s")
+    out = root / "out"
     config = dataclasses.replace(
         PipelineConfig(), reconstruct=ReconstructConfig(splits=0, look_again=False)
     )
     report = run(session, out, default_template_path(), config, until="reconstruct")
-    facts, folder = report["stages"]["reconstruct"], ProcessedFolder(out)
-    every, hull, skin_mesh = (
-        read_ply(path) for path in (folder.occluders, folder.hull, folder.base_mesh)
-    )
-    assert facts["occluder_faces"] == len(every.faces)
-    assert facts["hull_cm2"] == pytest.approx(len(hull.faces) * 0.045 / STEPPED, abs=0.1)
-    from_skin = ClosestPoints(skin_mesh.vertices, skin_mesh.faces).query(hull.vertices)
-    assert from_skin.distance_mm.min() > facts["hull_keeps_off_skin_mm"] == KEEP_MM
-    # The hull is behind what was matched too, where no camera looks: the rest is cloth.
+    facts = report["stages"]["reconstruct"]
+    return Collared(session, ProcessedFolder(out), config, facts, clothes, third)
+
+
+def test_a_collar_of_any_colour_is_found_and_is_no_part_of_the_skins_mesh(
+    collared: Collared,
+) -> None:
+    folder, clothes, third = collared.out, collared.clothes, collared.third
+    every = read_ply(folder.occluders)
+    assert collared.facts["occluder_faces"] == len(every.faces)
+    # The hull is where no camera looks, too: the rest is cloth.
     found = measured_alone(every, folder)
     assert found is not None
     closest = ClosestPoints(clothes.vertices, clothes.faces)
     nearest = closest.query(found.vertices)
-    skin = closest.query(skin_mesh.vertices)
+    skin = closest.query(read_ply(folder.base_mesh).vertices)
     for number, name in enumerate(CLOTHS):
         there = third[nearest.face] == number
         assert there[found.faces].all(axis=1).sum() > 500, name
@@ -158,6 +171,32 @@ def test_a_collar_of_any_colour_is_found_and_is_no_part_of_the_skins_mesh(
         assert np.median(away) < 1.5, name
         assert np.percentile(away, 90) < 6, name
         assert ((skin.distance_mm < 1) & (third[skin.face] == number)).mean() < 0.006, name
+
+
+def test_the_hull_is_off_the_skin_and_without_it_mesh_and_cloth_are_the_same(
+    collared: Collared,
+) -> None:
+    folder, facts = collared.out, collared.facts
+    hull, skin = read_ply(folder.hull), read_ply(folder.base_mesh)
+    found = measured_alone(read_ply(folder.occluders), folder)
+    assert found is not None
+    assert facts["hull_cm2"] == pytest.approx(len(hull.faces) * 0.045 / STEPPED, abs=0.1)
+    from_skin = ClosestPoints(skin.vertices, skin.faces).query(hull.vertices)
+    assert from_skin.distance_mm.min() > facts["hull_keeps_off_skin_mm"] == KEEP_MM
+    without = dataclasses.replace(
+        collared.config,
+        reconstruct=dataclasses.replace(collared.config.reconstruct, find_hull=False),
+    )
+    mesh = folder.base_mesh.read_bytes()
+    report = run(
+        collared.session, folder.root, default_template_path(), without, until="reconstruct"
+    )
+    assert report["stages"]["reconstruct"]["hull_cm2"] == 0
+    assert not folder.hull.exists()
+    assert folder.base_mesh.read_bytes() == mesh
+    cloth = read_ply(folder.occluders)
+    np.testing.assert_array_equal(cloth.vertices, found.vertices)
+    np.testing.assert_array_equal(cloth.faces, found.faces)
 
 
 def test_nothing_is_looked_for_where_nothing_could_be_found_or_a_file_is_named(
