@@ -155,7 +155,8 @@ def measured_alone(occluders: Mesh | None, folder: ProcessedFolder) -> Mesh | No
             folder.hull,
             found="a hull that is not at the end of occluders.ply",
             expected="both of one run of `reconstruct`",
-            hint="Run `lightstage-processing reconstruct` again.",
+            hint="Run `lightstage-processing reconstruct` again, or remove the hull's file where "
+            "occluders.ply is one of your own.",
         )
     return Mesh(occluders.vertices[:start], triangles[:first]) if first else None
 
