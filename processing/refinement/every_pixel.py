@@ -39,7 +39,7 @@ from processing.refinement.nodes import (
 from processing.refinement.scene import (
     Scene,
     View,
-    edge_distance,
+    from_edge,
     gloss_of,
     place_of,
     read_sight,
@@ -145,7 +145,7 @@ def grid_knows(scene: Scene, grid: View, found: Solved, config: RefineConfig) ->
         config.specular_pool_mm * grid.px_per_mm,
         1 / (1 + (wrong / spread) ** 2),
     )
-    inside = edge_distance(sight.mask, sight.depth_mm, config)[sight.mask] * sight.step
+    inside = from_edge(sight, config) * sight.step
     nothing = np.zeros((len(specular), 3), np.float32)
     given = finish_given(scene, grid, found, roughness, specular, nothing, inside)
     alone = empty_maps(len(given))

@@ -34,7 +34,7 @@ from processing.refinement.joint import (
     held_out,
     solve_jointly,
 )
-from processing.refinement.scene import Scene, View, edge_distance, given_of, steady
+from processing.refinement.scene import Scene, View, from_edge, given_of, steady
 
 ROUNDS = 3
 """Steps by which gloss and normals are fitted to each model, from the same start: a model that went
@@ -260,8 +260,7 @@ def sampled(
     for view, whole in zip(views, wandering, strict=True):
         band = np.arange(0, len(view.rgb), -(-len(view.rgb) // each))
         rest = Scattered(whole.kept, whole.rest[band])
-        sight = view.sight
-        inside = edge_distance(sight.mask, sight.depth_mm, config)[sight.mask] > side // 2
+        inside = from_edge(view.sight, config) > side // 2
         trust = np.where(view.usable & inside, steady(view, config), 0)[band]
         yield Sample(view, band, trust, orientation(view, band), rest)
 

@@ -225,13 +225,17 @@ def gloss_of(
 def steady(view: View, config: RefineConfig) -> np.ndarray:
     """(n,) 0..1: how far a pixel is from edges and from being seen edge on."""
     sight = view.sight
-    inside = edge_distance(sight.mask, sight.depth_mm, config)[sight.mask] * sight.step
+    inside = from_edge(sight, config) * sight.step
     return np.asarray(facing(sight.normals, sight.views) * np.clip(inside / config.edge_px, 0, 1))
 
 
-def edge_distance(mask: np.ndarray, depth_mm: np.ndarray, config: RefineConfig) -> np.ndarray:
-    """(h, w) float32 pixels to the nearest edge of a mask or step of its depth."""
-    return edge_distance_px(mask & ~depth_edges(depth_mm, config.depth_step_mm))
+def from_edge(sight: Sight, config: RefineConfig) -> np.ndarray:
+    """(n,) float32, how many of a sight's own pixels are between each and the nearest edge.
+
+    An edge is one of its mask or a step of its depth; the pixels are `sight.step` apart.
+    """
+    steps = depth_edges(sight.depth_mm, config.depth_step_mm)
+    return np.asarray(edge_distance_px(sight.mask & ~steps)[sight.mask])
 
 
 def given_of(

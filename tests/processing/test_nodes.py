@@ -277,17 +277,22 @@ def test_lanes_divide_take_roots_and_compare() -> None:
 def test_cells_are_safe_between_four_good_nodes_of_like_depths_and_normals(seed: int) -> None:
     rng = np.random.default_rng(seed)
     mask = rng.uniform(size=(9, 11)) < 0.95
+    first = np.s_[:2, :2]  # a cell that is safe, whatever is drawn
+    mask[first] = True
     number = np.full(mask.shape, -1, np.int32)
     number[mask] = np.arange(mask.sum())
     good = rng.uniform(size=mask.sum()) < 0.97
+    good[number[first]] = True
     normals = rng.normal([0, 0, 5], size=(mask.sum(), 3)).astype(np.float32)
+    normals[number[first]] = 0, 0, 1
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     depth = np.where(mask, 500 + rng.normal(size=mask.shape), np.inf).astype(np.float32)
+    depth[first] = 500
     nothing = np.zeros(0)
     shadows = Shadows(nothing, nothing, nothing)
     sight = Sight(mask, nothing, normals, nothing, nothing, shadows, depth, 3)
     found = safe_cells(number, good, sight, 3.0)
-    assert found.any()
+    assert found[0, 0]
     for y, x in np.ndindex(found.shape):
         four = number[y : y + 2, x : x + 2].ravel()
         known = bool((four >= 0).all()) and bool(good[four].all())
