@@ -138,7 +138,7 @@ def write_people(title: str, people: list[Who], rows: int) -> None:
         f"{', '.join(LIGHTS)} in turn; textures of {rows} rows; over skin of the face. Normals are "
         "encoded as (n + 1) / 2; the true mesh has no pores. New lights: clamshell, street and a "
         "low lamp, by sim on the true shape, with the avatar's normals and the albedo of each "
-        "guess. The ceiling is a capture of the scanned head: its atlas has 39.2 dB of albedo and "
+        "guess. The ceiling is a capture of the scanned head: its atlas has 39.0 dB of albedo and "
         "1.5 degrees of normals in `make demo`.",
     )
     found_deg, true_deg = ([each.ita_deg[k] for _, each in scores] for k in (0, 1))

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,7 +22,9 @@ from learning.render.occlusion_network import ROWS_MULTIPLE, OcclusionNetworkCon
 from learning.upscale.network import RcanConfig
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
+from lightstage.formats.config import make_config, read_toml
 
+ConfigT = TypeVar("ConfigT")
 _POSITIVE, _ANY = 1e-30, 1e12
 LIMITS: dict[str, tuple[float, float]] = {
     "generator.width": (2, 1024),
@@ -201,6 +204,45 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
     if hasattr(config, "generator") and hasattr(config, "data"):
         _require_patch(config.data.patch_px, config.generator, where)
         _require_losses(config, where)
+
+
+def configured(
+    kind: type[ConfigT], file: Path | None, options: Mapping[str, tuple[str, Any]], table: str
+) -> ConfigT:
+    """A command's configuration: its file's, and what options state in place of that.
+
+    Args:
+        kind: a FitConfig or a DomainConfig.
+        file: TOML; the defaults where None.
+        options: by the field, the option's name and its value; None where it was not given.
+        table: of `LIMITS`. Errors do not name it: files have no such table.
+
+    Raises:
+        ConfigError: what `make_config` and `require_within` refuse; an option's by its name.
+    """
+    where = file or kind.__name__
+    config = make_config(kind, read_toml(file) if file else {}, where)
+    _require_named(config, where, table)
+    for field, (option, value) in options.items():
+        if value is not None:
+            config = dataclasses.replace(config, **{field: value})  # type: ignore[type-var]
+            _require_named(config, option, table, field)
+    return config
+
+
+def _require_named(config: Any, where: str | Path, table: str, named: str = "") -> None:
+    """`require_within`; the error names a field by its name in a file, `named` by `where` alone."""
+    try:
+        require_within(config, where, table)
+    except ConfigError as error:
+        field = error.field.removeprefix(f"{table}.")
+        raise ConfigError(
+            error.where,
+            field="" if field == named else field,
+            found=error.found,
+            expected=error.expected,
+            hint=error.hint,
+        ) from None
 
 
 def _require(value: Any, name: str, where: str | Path) -> None:

@@ -15,13 +15,12 @@ from learning.domain.config import DomainConfig
 from learning.domain.descent import descend
 from learning.domain.sample import Sample, sample_of
 from learning.errors import MapsError
-from learning.limits import require_within
+from learning.limits import configured, require_within
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.render.environments import TargetLight
 from learning.whole.refine import CAMERA_MM
 from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
-from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.environment import LightSet, read_lights, write_lights
 from lightstage.formats.exr import read_exr
 from lightstage.formats.mesh import Mesh, read_mesh
@@ -68,7 +67,8 @@ def domain_light(
         LightstageError: bad input; nothing is written then.
     """
     began = time.monotonic()
-    settings = _config(config, seconds, steps)
+    options = {"seconds": ("--seconds", seconds), "steps": ("--steps", steps)}
+    settings = configured(DomainConfig, config, options, "domain")
     network = whole_face_of(checkpoint)
     found = places_of(textures, mesh)
     chosen = [found[i] for i in _evenly(len(found), settings.textures)]
@@ -212,19 +212,6 @@ def _read(place: Place, network: WholeFaceNetwork) -> Sample:
             )
         known = known.reshape(texture.shape[:2]) > 0
     return sample_of(network, texture, shape, (place.texture, place.mesh), known)
-
-
-def _config(path: Path | None, seconds: float | None, steps: int | None) -> DomainConfig:
-    values: dict[str, Any] = read_toml(path) if path else {}
-    config = make_config(DomainConfig, values, path or "DomainConfig")
-    more: dict[str, Any] = {}
-    if seconds is not None:
-        more["seconds"] = seconds
-    if steps is not None:
-        more["steps"] = steps
-    config = dataclasses.replace(config, **more)
-    require_within(config, path or "domain-light", "domain")
-    return config
 
 
 def _evenly(count: int, most: int) -> list[int]:

@@ -17,7 +17,7 @@ from learning.checkpoint import (
     whole_face_of,
 )
 from learning.errors import MapsError
-from learning.limits import require_within
+from learning.limits import configured
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
@@ -32,7 +32,6 @@ from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.faces import detect_faces
 from lightstage.faces.schemes import FACE_MESH, IBUG, IBUG_PAIRS, ibug68, seen_points
-from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.environment import write_lights
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import (
@@ -92,7 +91,8 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
         LightstageError: bad input; nothing is written then.
     """
     began = time.monotonic()
-    config = _config(request)
+    options = {"rows": ("--rows", request.rows), "refine_seconds": ("--refine", request.refine)}
+    config = configured(FitConfig, request.config, options, "fit")
     require_replaceable(request.out, FIT)
     network = whole_face_of(request.checkpoint)
     template = load_template(request.template)
@@ -264,19 +264,6 @@ def write_fitted(folder: Path, fitted: FittedHead) -> None:
         write_map(folder / MAPS / f"{name}.exr", name, image)
     if fitted.light is not None:
         write_lights(fitted.light, folder / LIGHT)
-
-
-def _config(request: FitRequest) -> FitConfig:
-    values: dict[str, Any] = read_toml(request.config) if request.config else {}
-    config = make_config(FitConfig, values, request.config or "FitConfig")
-    more: dict[str, Any] = {}
-    if request.rows is not None:
-        more["rows"] = request.rows
-    if request.refine is not None:
-        more["refine_seconds"] = request.refine
-    config = dataclasses.replace(config, **more)
-    require_within(config, request.config or "fit", "fit")
-    return config
 
 
 def _facts(

@@ -119,6 +119,8 @@ def duration(seconds: float | None) -> str:
     """Time left in words; None where it is not known."""
     if seconds is None:
         return "time left not known yet"
+    if seconds < 1:
+        return "nearly done"
     if seconds < 90:
         return f"about {seconds:.0f} s left"
     if seconds < 5400:

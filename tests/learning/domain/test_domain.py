@@ -172,8 +172,8 @@ def test_domain_light_reads_fits_and_names_what_is_wrong(
         ([empty], "no texture"),
         ([grey], "--mesh"),
         ([grey, "--mesh", mesh], "one channel"),
-        ([domain.folder, "--steps", "-1"], "domain.steps"),
-        ([domain.folder, "--seconds", "nan"], "domain.seconds"),
+        ([domain.folder, "--steps", "-1"], "--steps: found -1"),
+        ([domain.folder, "--seconds", "nan"], "--seconds: found nan"),
         ([domain.folder, "--config", told], "c.json"),
     ):
         other = tmp_path / "other.json"

@@ -243,7 +243,7 @@ def test_bad_input_is_refused_in_words_that_name_it(shot: Shot, tmp_path: Path) 
         {"schema": "lightstage.landmarks/1", "scheme": "mediapipe468", "points_px": {}},
     )
     assert "no person one.png" in refused(shot, out, "--landmarks", empty)
-    rows = "fit.rows: found 200, expected a multiple of 3"
+    rows = "--rows: found 200, expected a multiple of 3"
     assert rows in refused(shot, out, "--rows", "200")
 
 
@@ -303,7 +303,7 @@ def test_an_avatar_refuses_before_it_writes_anything(shot: Shot, tmp_path: Path)
     assert "found a folder, expected a photograph" in refusal(photo=tmp_path)
     assert "--until" in refusal("--until", "page")
     assert "--format" in refusal("--format", "fbx")
-    assert "fit.rows: found 200, expected a multiple of 3" in refusal("--rows", "200")
+    assert "--rows: found 200, expected a multiple of 3" in refusal("--rows", "200")
     assert not out.exists()
     out.mkdir()
     (out / "thesis.txt").write_text("mine")

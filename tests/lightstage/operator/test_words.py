@@ -98,7 +98,8 @@ def test_braces_in_what_devices_say_stay_as_they_are():
     ("seconds", "words"),
     [
         (None, "time left not known yet"),
-        (0.2, "about 0 s left"),
+        (0.2, "nearly done"),
+        (1.2, "about 1 s left"),
         (89.0, "about 89 s left"),
         (600.0, "about 10 min left"),
         (9000.0, "about 2.5 h left"),
