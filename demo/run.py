@@ -19,11 +19,12 @@ import typer
 
 from demo.measure import run_measured
 from demo.steps import DemoConfig, Layout, steps
-from demo.tiny import tiny_config
+from demo.tiny import tiny_config, tiny_rig
 from lightstage.commands import output_folder, run_app
 from lightstage.counting import counted
 from lightstage.errors import LightstageError
 from lightstage.formats.files import read_json, write_json
+from lightstage.rig import save_rig
 
 STEPS_SCHEMA = "lightstage.demo/1"
 
@@ -42,6 +43,8 @@ def run(config: DemoConfig, out: Path) -> int:
     _clear(at)
     done: list[dict[str, Any]] = []
     write_steps(at, config, done)
+    if config.tiny_rig:
+        save_rig(tiny_rig(), at.rig)
     plan = steps(config, at)
     for number, step in enumerate(plan, 1):
         command = shlex.join(["python", "-m", *step.arguments])
@@ -107,8 +110,13 @@ def main(
     chosen = subject or ("lps" if scan_is_there() else "parametric")
     config = DemoConfig(chosen)
     if tiny:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        config = tiny_config(out.with_name(f"{out.name}.rig.json"))
+        if subject is not None or quick:
+            raise LightstageError(
+                "--tiny",
+                found="--quick beside it" if quick else "--subject beside it",
+                expected="--tiny alone, which is a parametric person in few pixels",
+            )
+        config = tiny_config()
     elif quick:
         config = dataclasses.replace(
             config, scale=config.scale / 2, atlas_rows=768, train_seconds=30

@@ -20,7 +20,7 @@ class DemoConfig:
     Attributes:
         subject: `lps` (the scanned head) or a pseudonym of a parametric person.
         seed: of the session's noise and of a parametric person.
-        rig: a rig.json; None takes the default rig.
+        tiny_rig: the rig of `demo.tiny` in place of the default one.
         scale: of the rig's pixels a side; 0.1795 makes 720 x 1080 of the default rig's.
         atlas_rows: height of the atlas in texels; its width is two thirds of it.
         skin_rows: height of the maps of the simulated person who is photographed.
@@ -31,7 +31,7 @@ class DemoConfig:
 
     subject: str
     seed: int = 1
-    rig: Path | None = None
+    tiny_rig: bool = False
     scale: float = 1080 / 6016
     atlas_rows: int = 1536
     skin_rows: int = 1536
@@ -54,6 +54,11 @@ class Layout:
     """Where each part of the demo is."""
 
     root: Path
+
+    @property
+    def rig(self) -> Path:
+        """Lights and cameras, where they are not the default ones."""
+        return self.root / "rig.json"
 
     @property
     def session(self) -> Path:
@@ -153,7 +158,7 @@ def steps(config: DemoConfig, at: Layout) -> Iterator[Step]:
         return Step(name, title, tuple(word.format(**values) for word in command.split()))
 
     size = "--rows {config.skin_rows} --scale {config.scale:.6f}"
-    size += " --rig {config.rig}" if config.rig else ""
+    size += " --rig {at.rig}" if config.tiny_rig else ""
     yield step(
         "session",
         f"photograph {config.subject} on the simulated stage",

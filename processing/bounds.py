@@ -13,6 +13,8 @@ from lightstage.formats.config import MOST
 
 SOME = 1e-3
 """The least of what is divided by."""
+FINE = 1e-6
+"""The same of what is a share of light."""
 BOUNDS: Mapping[str, tuple[float, float]] = {
     "decode.clip_share": (0.1, 1),
     "decode.foreground_share": (1e-6, 0.9),
@@ -43,6 +45,9 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "refine.occlusion_directions": (1, MOST),
     "refine.scattering": (0, 0.99),
     "refine.roughness": (0.01, 1),
+    "refine.gloss_pixels": (1, MOST),
+    "refine.gloss_spread": (FINE, MOST),
+    "refine.specular_detail_spread": (FINE, MOST),
     "register.modes.landmark_sigma_mm": (SOME, MOST),
     "register.modes.landmark_robust_mm": (SOME, MOST),
     "register.modes.surface_sigma_mm": (SOME, MOST),

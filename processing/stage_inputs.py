@@ -124,7 +124,9 @@ def _files(session: Session, stage: str, config: Any) -> list[str | None]:
         for path in [session.root / name for name in named if isinstance(name, str)]:
             # Gains of single pixels are beside the flats that name them.
             files += [path, *sorted(path.parent.glob(f"{path.stem}-*.npz"))]
-        return [sha256_file(path) for path in [*files, *_meshes(config.mesh)]]
+        read = [sha256_file(path) for path in [*files, *_meshes(config.mesh)]]
+        # A photograph that was copied back takes the place of one that was rebuilt.
+        return [*read, *_missing(session)]
     if stage == "reconstruct":
         read = [sha256_file(path) for path in _meshes(config.mesh, config.occluders)]
         # The name of a depth map is its camera's.
@@ -134,6 +136,12 @@ def _files(session: Session, stage: str, config: Any) -> list[str | None]:
         landmarks = session.root / LANDMARKS
         return [sha256_file(landmarks) if landmarks.is_file() else None]
     return []
+
+
+def _missing(session: Session) -> list[str | None]:
+    """Photographs that session.json lists and that are not there."""
+    frames = session.file.frames
+    return [f"no {f.path}" for f in frames if not session.frame_path(f).is_file()]
 
 
 def _depth_maps(folder: str) -> list[Path]:

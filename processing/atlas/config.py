@@ -38,6 +38,16 @@ class WeightConfig:
     disbelief_deg: float = 50.0
     """They have no weight where it differs by more than this: it was solved on a wrong surface."""
 
+    def __post_init__(self) -> None:
+        """Refuse angles between which no weight can fall."""
+        if self.doubt_deg >= self.disbelief_deg:
+            raise ConfigError(
+                "atlas.blend.weights",
+                field="disbelief_deg",
+                found=f"{self.disbelief_deg:g}, with doubt_deg = {self.doubt_deg:g}",
+                expected="more than doubt_deg",
+            )
+
 
 @dataclasses.dataclass(frozen=True)
 class BlendConfig:
@@ -81,10 +91,11 @@ class AtlasConfig:
                 "atlas", field="rows", found=str(self.rows), expected="a multiple of 3, 6 at least"
             )
         unknown = sorted(set(self.maps) - {*BLENDED, *OPTIONAL})
-        if unknown:
+        twice = sorted({f"{name} twice" for name in self.maps if self.maps.count(name) > 1})
+        if unknown or twice or not self.maps:
             raise ConfigError(
                 "atlas",
                 field="maps",
-                found=", ".join(unknown),
-                expected=f"some of {', '.join(BLENDED + OPTIONAL)}",
+                found=", ".join(unknown + twice) or "none",
+                expected=f"some of {', '.join(BLENDED + OPTIONAL)}, each once",
             )

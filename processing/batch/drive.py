@@ -246,8 +246,8 @@ class Batch:
         elif answer.status == "again":
             self._again(item, answer.reason)
         elif answer.status == "unfit":
-            self._unfit[answer.worker] = answer.reason
-            self._again(item, answer.reason)
+            # It was not begun there: another worker may take it, and it has lost no try.
+            self._unfit[answer.worker] = item.reason = answer.reason
         elif answer.status == "disk full":
             self.full = answer.reason
             item.reason = answer.reason

@@ -21,6 +21,9 @@ from processing.raw.flat_file import FlatField, read_flats
 from processing.raw.raw_file import RawFile, open_raw, read_exposure
 from processing.raw.region import cell_px, preview
 
+PEAK_SHARE = 0.999
+"""Share of a linear photograph's values that its half floats hold best."""
+
 
 class Photograph(Protocol):
     """An opened photograph."""
@@ -119,9 +122,14 @@ class LinearPhotograph:
         return np.nan_to_num(few, nan=0, posinf=0, neginf=0).max(axis=2), side
 
     def peak(self) -> float:
-        """The largest finite value."""
+        """The `PEAK_SHARE` quantile of the values that are not zero.
+
+        Not the largest: one mirrored lamp of 65504 would leave skin too few bits. What is so much
+        brighter than this that no half float holds it counts as no number.
+        """
         size = np.abs(self.rgb)
-        return float(size.max(initial=0.0, where=np.isfinite(size)))
+        some = size[np.isfinite(size) & (size > 0)]
+        return float(np.quantile(some, PEAK_SHARE)) if some.size else 0.0
 
     def develop(
         self,

@@ -171,12 +171,15 @@ def warp(images: np.ndarray, rows: dict[int, Flow], usable: np.ndarray) -> None:
         flow = rows[row].at(x, y).astype(np.float32)
         to_x, to_y = x + flow[..., 0] - np.float32(0.5), y + flow[..., 1] - np.float32(0.5)
         picture = images[row].astype(np.float32)
-        images[row] = cv2.remap(
-            picture, to_x, to_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT
-        )
-        # Whatever a cubic's four by four neighbours held counts.
+        continued = cv2.BORDER_REPLICATE
+        images[row] = cv2.remap(picture, to_x, to_y, cv2.INTER_CUBIC, borderMode=continued)
+        # Whatever a cubic's four by four neighbours held counts, and what is beyond the border.
         bad = cv2.dilate(1 - good, np.ones((3, 3), np.uint8))
-        return cv2.remap(bad, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT) > 0
+        bad = cv2.remap(bad, to_x, to_y, cv2.INTER_LINEAR, borderMode=continued)
+        beyond = (np.abs(to_x - (width - 1) / 2) > width / 2) | (
+            np.abs(to_y - (height - 1) / 2) > height / 2
+        )
+        return (bad > 0) | beyond
 
     with ThreadPoolExecutor(2) as pool:
         for bad in pool.map(move, list(rows)):

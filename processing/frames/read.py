@@ -172,6 +172,13 @@ def write_frames(out: Path, camera_id: str, frames: Frames) -> Path:
     return frames_path(out, camera_id)
 
 
+def photographed_patterns(out: Path, camera_id: str) -> frozenset[str]:
+    """Patterns of a camera that were decoded from photographs, not made of other patterns."""
+    facts = read_facts(frames_path(out, camera_id), camera_id)
+    # Frames that `write_frames` wrote have no keys: nothing is known to be made of others.
+    return frozenset(facts["told"].get("keys", facts["patterns"]))
+
+
 def read_frames(out: Path, camera_id: str) -> Frames:
     """Map a camera's decoded photographs.
 

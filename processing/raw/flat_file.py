@@ -170,6 +170,8 @@ def _field(entry: dict[str, Any], path: Path) -> FlatField:
         name = check_name(entry["per_pixel"], path, "per_pixel")  # beside this file
         with np.load(path_inside(path.parent, name, path, "per_pixel"), allow_pickle=False) as file:
             own = file["gain"].astype(np.float32)
-        if own.ndim != 2 or not (np.isfinite(own) & (own > 0)).all():
+        # Of odd sizes, `calibrate` leaves the last row and column out.
+        even = tuple(side // 2 * 2 for side in size[::-1])
+        if own.shape not in (size[::-1], even) or not (np.isfinite(own) & (own > 0)).all():
             raise ValueError("gain")
     return FlatField(size, centre, radius, radial, own, offset, hot)

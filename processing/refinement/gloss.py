@@ -187,8 +187,6 @@ def local_specular(
 ) -> np.ndarray:
     """Specular albedo of one view's pixels, finer than the mesh holds.
 
-    # The pixels' joint evidence over the mesh's own pool counts as far as it is trusted.
-
     Args:
         evidence: (n, 5) of `joint.gloss_evidence` about `specular`.
         specular: (n,) what all views gave on the mesh.
@@ -196,7 +194,8 @@ def local_specular(
         sigma_px: over which pixels share one.
         spread: standard deviation of the truth about the mesh's.
         pool_px: sigma of the mesh's pool, more than `sigma_px`.
-        trusted: one or (n,) 0..1.
+        trusted: one or (n,) 0..1: how far the pixels' joint evidence over the mesh's own pool
+            counts.
 
     Returns:
         (n,).

@@ -36,7 +36,7 @@ def times_as_noisy(found: Noise, other: Noise) -> float:
 def measured_noise(
     readings: Sequence[np.ndarray],
     patterns: Sequence[str],
-    photographed: Collection[str],
+    photographed: Sequence[Collection[str]],
     assumed: Noise,
 ) -> tuple[Noise, bool]:
     """Noise as the photographs have it.
@@ -44,14 +44,15 @@ def measured_noise(
     Args:
         readings: of each view, (n, P, 3); 0 where not usable.
         patterns: P names.
-        photographed: those that were photographed; others were made of these, and have no noise
-            of their own.
+        photographed: of each view, those that its camera took; others were made of these, and have
+            no noise of their own.
         assumed: what no photograph shows: the model's, and all of it where nothing is measured.
 
     Returns:
         The noise, and whether it was measured.
     """
-    bins = [curve for rgb in readings for curve in transfer(rgb, patterns, photographed)]
+    both = zip(readings, photographed, strict=True)
+    bins = [curve for rgb, own in both for curve in transfer(rgb, patterns, own)]
     if not bins:
         return assumed, False
     level, variance = np.concatenate(bins).T

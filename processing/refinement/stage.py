@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from lightstage.formats.mesh import Mesh, read_ply, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from lightstage.rig import Camera, Rig
-from processing.frames.read import read_foreground, read_frames
+from processing.frames.read import photographed_patterns, read_foreground, read_frames
 from processing.lighting.interface import ENTERED_SHARE
 from processing.lighting.lights import fix_normals, pattern_lights
 from processing.rays import MeshRays
@@ -62,7 +62,7 @@ def refine(
         read_view(read_frames(out, camera.id), camera, lit, scene, config, config.gloss_pixels)
         for camera, lit in seen_by
     ]
-    photographed = {frame.pattern for frame in session.file.frames}
+    photographed = [photographed_patterns(out, camera.id) for camera in cameras]
     scene, config, noise = with_noise(scene, config, grids, photographed)
     progress(2, steps)
     scene, found, choices = find_gloss(
@@ -120,9 +120,16 @@ def refine(
 
 
 def with_noise(
-    scene: Scene, config: RefineConfig, grids: list[View], photographed: Collection[str]
+    scene: Scene, config: RefineConfig, grids: list[View], photographed: Sequence[Collection[str]]
 ) -> tuple[Scene, RefineConfig, str]:
-    """The scene and configuration with the photographs' own noise, and how it was found."""
+    """The scene and configuration with the photographs' own noise, and how it was found.
+
+    Args:
+        scene: so far.
+        config: as configured.
+        grids: of each view.
+        photographed: of each view, the patterns that its camera took.
+    """
     if config.noise_from_photographs:
         found, measured = measured_noise(
             [grid.rgb for grid in grids], scene.lights.patterns, photographed, config.noise

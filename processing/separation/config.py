@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Literal
 
+from lightstage.errors import ConfigError
 from processing.lighting.lobe import SKIN_F0
 
 Relief = Literal["mirror", "detail", "diffuse"]
@@ -82,6 +84,17 @@ class LobeFitConfig:
     """Relief finer than this sigma is detail."""
     mirror: MirrorConfig = dataclasses.field(default_factory=MirrorConfig)
     """How specular normals are found from mirror directions."""
+
+    def __post_init__(self) -> None:
+        """Refuse lobes between which no best one can be interpolated."""
+        widths = self.roughness
+        if len(widths) < 3 or any(a >= b for a, b in itertools.pairwise(widths)):
+            raise ConfigError(
+                "separate",
+                field="roughness",
+                found=str(list(widths)),
+                expected="three values of Beckmann's m or more, each above the one before",
+            )
 
 
 @dataclasses.dataclass(frozen=True)

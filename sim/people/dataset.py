@@ -270,12 +270,13 @@ def _own(plan: Plan, session: bool = False) -> Iterator[list[tuple[Person, tuple
     with locked(plan.out / PEOPLE_LOCK, busy):
         for left in leftovers(plan.out, "person-*"):
             shutil.rmtree(left, ignore_errors=True)
-        _write_list(plan)
         todo = []
         for person in plan.persons:
             left_over = tuple(e for e in plan.expressions if not _is_made(plan, person, e, session))
             if left_over:
                 todo.append((person, left_over))
+        # Only now: a folder that was made otherwise is refused, with its list as it was.
+        _write_list(plan)
         yield todo
 
 

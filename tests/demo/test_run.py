@@ -10,7 +10,9 @@ import pytest
 
 from demo import run as demo_run
 from demo.steps import DemoConfig, Layout, Step, steps
+from demo.tiny import tiny_config
 from lightstage.errors import LightstageError
+from lightstage.rig import load_rig
 
 
 def planned(*arguments: tuple[str, ...]) -> object:
@@ -52,12 +54,31 @@ def test_a_folder_that_no_demo_made_is_refused(tmp_path: Path) -> None:
     assert (tmp_path / "letter.txt").read_text() == "dear"
 
 
+def test_a_tiny_demo_writes_into_its_folder_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demo_run, "steps", planned(("json.tool", str(tmp_path / "no"))))
+    demo_run.run(tiny_config(), tmp_path / "demo")
+    assert [path.name for path in tmp_path.iterdir()] == ["demo"]
+    rig = load_rig(tmp_path / "demo" / "rig.json")
+    assert (len(rig.cameras), len(rig.lights)) == (5, 42)
+
+
+@pytest.mark.parametrize(("subject", "quick"), [(None, True), ("lps", False)])
+def test_a_tiny_demo_refuses_options_that_it_would_ignore(
+    tmp_path: Path, subject: str | None, quick: bool
+) -> None:
+    with pytest.raises(LightstageError, match="--tiny: found"):
+        demo_run.main(tmp_path / "demo", subject, quick, tiny=True)
+    assert not (tmp_path / "demo").exists()
+
+
 def test_paths_with_spaces_stay_one_argument(tmp_path: Path) -> None:
     at = Layout(tmp_path / "my demo")
     (at.processed / "views").mkdir(parents=True)
-    first = next(iter(steps(DemoConfig("parametric", rig=tmp_path / "a rig.json"), at)))
+    first = next(iter(steps(DemoConfig("parametric", tiny_rig=True), at)))
     assert str(at.session) in first.arguments
-    assert first.arguments[first.arguments.index("--rig") + 1] == str(tmp_path / "a rig.json")
+    assert first.arguments[first.arguments.index("--rig") + 1] == str(at.rig)
 
 
 def test_every_step_runs_one_of_the_packages(tmp_path: Path) -> None:

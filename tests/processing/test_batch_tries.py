@@ -182,10 +182,13 @@ def test_a_worker_of_another_version_gets_no_more_work() -> None:
     def answer(session: str, looked: bool, nth: int) -> object:
         if looked:
             return done(("decode", "separate"))
-        return Answer("unfit", "w1", reason="old") if nth == 0 else two_stages("", False, nth - 1)
+        # One after the other, as often as a session may be tried.
+        unfit = [Answer("unfit", f"w{k + 1}", reason="old") for k in range(BatchConfig.tries)]
+        return unfit[nth] if nth < len(unfit) else two_stages("", False, nth - len(unfit))
 
-    workers = FakeWorkers(answer)
-    assert states(batch_of("a", workers)) == "done"
+    workers = FakeWorkers(answer, BatchConfig.tries + 1)
+    batch = batch_of("a", workers)
+    assert (states(batch), batch.items[0].tries) == ("done", 0)
     assert workers.calls[-1][2] == ("w0",)
 
 

@@ -151,6 +151,14 @@ def test_gains_with_one_changed_byte_are_named(tmp_path):
             read_flats(path, ["cam0"])
 
 
+@pytest.mark.parametrize("shape", [(HEIGHT // 2, WIDTH // 2), (WIDTH, HEIGHT), (HEIGHT, WIDTH - 1)])
+def test_gains_of_another_size_are_named_and_not_laid_over_a_corner(tmp_path, shape):
+    field = dataclasses.replace(TRUE, per_pixel=np.full(shape, 1.5, np.float32))
+    path = write_flats({"cam0": field}, tmp_path / "flats.json", {})
+    with pytest.raises(FormatError, match="no usable flat of cam0"):
+        read_flats(path, ["cam0"])
+
+
 @pytest.mark.parametrize(
     "change",
     [

@@ -14,7 +14,7 @@ from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path
 from lightstage.patterns import pattern_levels
 from processing.decode.completing import missing_patterns, pairs_of, with_complements
-from processing.frames.read import read_frames
+from processing.frames.read import photographed_patterns, read_frames
 from processing.pipeline import run
 from processing.pipeline_config import PipelineConfig
 from tests.processing import lit_ball
@@ -59,6 +59,21 @@ def test_a_lost_photograph_is_rebuilt_and_reported(
     known = lit_ball.photograph(Ball(), sight, RIG)[:, lit_ball.PATTERNS.index(lost)]
     found = frames.pixels(sight.mask)[:, frames.patterns.index(lost)]
     np.testing.assert_allclose(found, known, atol=3e-3)
+
+
+def test_a_photograph_that_is_copied_back_takes_the_place_of_the_rebuilt_one(
+    session: Path, tmp_path: Path
+) -> None:
+    out, path = tmp_path / "out", session / "frames" / "x+" / "cam1.exr"
+    kept = path.rename(tmp_path / "x+.exr")
+    assert separated(session, out)["warnings"]
+    assert photographed_patterns(out, "cam1") == set(lit_ball.PATTERNS) - {"x+"}
+    assert photographed_patterns(out, "cam0") == set(lit_ball.PATTERNS)
+    kept.rename(path)
+    report = run(session, out, TEMPLATE, PipelineConfig(), until="decode")
+    assert report["ran"] == ["decode"]
+    assert not [line for line in report["warnings"] if "rebuilt" in line]
+    assert photographed_patterns(out, "cam1") == set(lit_ball.PATTERNS)
 
 
 def test_maps_with_a_rebuilt_pattern_are_those_without_loss(session: Path, tmp_path: Path) -> None:

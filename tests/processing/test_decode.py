@@ -15,15 +15,16 @@ import processing.decode.files
 from lightstage.errors import FormatError
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import sha256_file
+from lightstage.formats.half import LARGEST
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.session import Session, load_session
 from processing.decode.config import DecodeConfig
 from processing.decode.files import CameraJob, patterns_to_search
-from processing.decode.session_photographs import Photograph
+from processing.decode.session_photographs import LinearPhotograph, Photograph
 from processing.decode.stage import decode
 from processing.errors import ProcessingError
 from processing.frames.drafts import BLUE, GREEN, NOT_A_NUMBER, RED
-from processing.frames.read import Frames, read_foreground, read_frames
+from processing.frames.read import Frames, power_of_two, read_foreground, read_frames
 from processing.frames.window import Window, whole
 from processing.raw.flat_file import FlatField, write_flats
 from processing.raw.region import find_window, mesh_window, preview
@@ -307,6 +308,24 @@ def test_linear_pictures_are_windowed_too_and_wild_values_marked(tmp_path: Path)
     assert marked.tolist() == [[120, 80], [121, 82]]
     exact = photographs()["full"]["cam0"]
     np.testing.assert_allclose(frames.image(0), exact, rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("bright", [65504.0, 1e6, np.inf])
+def test_one_mirrored_lamp_in_a_linear_picture_leaves_the_others_all_their_bits(
+    bright: float,
+) -> None:
+    rgb = np.random.default_rng(0).uniform(0, 0.6, (60, 40, 3)).astype(np.float32)
+    plain = LinearPhotograph(rgb.copy()).peak()
+    rgb[3, 4] = bright
+    photograph = LinearPhotograph(rgb)
+    scale = power_of_two(photograph.peak())
+    assert scale == power_of_two(plain)
+    out, marks = np.zeros(rgb.shape, np.float16), np.zeros(rgb.shape[:2], np.uint8)
+    photograph.develop(whole((60, 40)), scale, None, out, marks)
+    assert (marks > 0).sum() == (bright > LARGEST)
+    known = np.delete(rgb.reshape(-1, 3), 3 * 40 + 4, axis=0)
+    found = np.delete(out.reshape(-1, 3), 3 * 40 + 4, axis=0).astype(float) * scale
+    np.testing.assert_allclose(found, known, rtol=1 / 2048, atol=1e-7)
 
 
 def test_without_light_from_all_around_every_pattern_is_looked_at(tmp_path: Path) -> None:

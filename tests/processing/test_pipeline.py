@@ -294,6 +294,8 @@ def test_a_batchs_file_serves_run_too_and_its_table_is_checked(
         ("[reconstruct]\niterations = [3, -2]", r"reconstruct\.iterations: found -2"),
         ("[refine]\nscattering = []", r"refine\.scattering: found no value, expected at least one"),
         ("[register.nonrigid]\nstiffness_mm = []", r"stiffness_mm: found no value"),
+        ("[refine]\ngloss_pixels = 0", r"refine\.gloss_pixels: found 0, expected 1 or more"),
+        ("[refine]\ngloss_spread = 0", r"refine\.gloss_spread: found 0\.0, expected 1e-06 or more"),
         ("[atlas]\nlargest_gap_mm = 0", r"atlas\.largest_gap_mm: found 0\.0, expected 0\.001"),
     ],
 )
@@ -312,6 +314,28 @@ def test_the_defaults_are_possible_and_every_bound_is_of_a_setting() -> None:
         require_bounds(config, "defaults", BOUNDS)
         names |= dict(all_fields(config)).keys()
     assert BOUNDS.keys() <= names
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[atlas]\nmaps = []", "maps: found none, expected some of"),
+        ('[atlas]\nmaps = ["roughness", "roughness"]', "maps: found roughness twice"),
+        ("[separate.linear]\nroughness = [0.3, 0.2, 0.1]", "each above the one before"),
+        ("[separate.polarised]\nroughness = [0.3]", r"found \[0\.3\], expected three values"),
+        (
+            "[atlas.blend.weights]\ndoubt_deg = 50.0",
+            "disbelief_deg: found 50, with doubt_deg = 50, expected more than doubt_deg",
+        ),
+    ],
+)
+def test_settings_that_contradict_each_other_are_refused(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    toml = tmp_path / "c.toml"
+    toml.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        read_config(toml)
 
 
 def test_a_batch_refuses_a_table_of_its_own_that_is_none(

@@ -118,6 +118,15 @@ def test_a_place_that_was_clipped_before_it_moved_is_not_usable() -> None:
     assert usable[50, 30]
 
 
+def test_what_comes_from_beyond_the_picture_is_not_usable_and_darkens_nothing() -> None:
+    flow = Flow(np.array([[0.0, 5.0]]), (0.0, 0.0), 1.0, 0)
+    images, usable = np.full((1, *SHAPE, 3), 0.5, np.float32), np.ones(SHAPE, bool)
+    warp(images, {0: flow}, usable)
+    assert not usable[-5:].any()
+    assert usable[:-5].all()
+    np.testing.assert_allclose(images[0][usable], 0.5, rtol=1e-5)
+
+
 def test_monomials_are_all_products_up_to_a_degree() -> None:
     found = monomials(np.array([2.0]), np.array([3.0]), 2)[0]
     assert sorted(found) == sorted([1, 2, 3, 4, 6, 9])

@@ -36,7 +36,7 @@ def readings(sensor: float, floor: float, count: int = 20_000, bright: float = 0
 @pytest.mark.parametrize("bright", [0.8, 0.15])
 def test_the_noise_that_was_put_in_comes_out(sensor: float, floor: float, bright: float) -> None:
     found, measured = measured_noise(
-        [readings(sensor, floor, bright=bright)], PATTERNS, PATTERNS, ASSUMED
+        [readings(sensor, floor, bright=bright)], PATTERNS, [PATTERNS], ASSUMED
     )
     assert measured
     level = np.array([0.05, bright / 2, bright])
@@ -48,7 +48,7 @@ def test_the_noise_that_was_put_in_comes_out(sensor: float, floor: float, bright
 def test_motion_at_some_edges_is_no_noise() -> None:
     rgb = readings(0.001, 0.25)
     rgb[::10, 1] += 0.2
-    found, _ = measured_noise([rgb], PATTERNS, PATTERNS, ASSUMED)
+    found, _ = measured_noise([rgb], PATTERNS, [PATTERNS], ASSUMED)
     assert found.sensor * np.sqrt(found.floor + 0.4) == pytest.approx(0.00081, rel=0.25)
 
 
@@ -56,14 +56,20 @@ def test_pictures_made_of_others_show_no_noise() -> None:
     rgb = readings(0.005, 0.25)
     for k in (2, 4, 6):
         rgb[:, k] = rgb[:, 0] - rgb[:, k - 1]
-    found, measured = measured_noise([rgb], PATTERNS, ("full", "x+", "y+", "z+"), ASSUMED)
+    found, measured = measured_noise([rgb], PATTERNS, [("full", "x+", "y+", "z+")], ASSUMED)
     assert not measured
     assert found == ASSUMED
-    assert measured_noise([rgb[:, 1:]], PATTERNS[1:], PATTERNS, ASSUMED) == (ASSUMED, False)
+    # Of another view all were photographed: its own count, these do not.
+    whole = readings(0.005, 0.25)
+    owns = [("full", "x+", "y+", "z+"), PATTERNS]
+    assert measured_noise([rgb, whole], PATTERNS, owns, ASSUMED) == measured_noise(
+        [whole], PATTERNS, [PATTERNS], ASSUMED
+    )
+    assert measured_noise([rgb[:, 1:]], PATTERNS[1:], [PATTERNS], ASSUMED) == (ASSUMED, False)
 
 
 def test_a_face_without_noise_is_given_what_rounding_leaves() -> None:
-    found, measured = measured_noise([readings(0.0, 0.25)], PATTERNS, PATTERNS, ASSUMED)
+    found, measured = measured_noise([readings(0.0, 0.25)], PATTERNS, [PATTERNS], ASSUMED)
     assert measured
     assert 0 < found.sensor * np.sqrt(found.floor + 0.4) < 0.001
 
@@ -96,7 +102,7 @@ def test_whatever_is_read_noise_is_a_number_above_zero(values: list[float], shar
     rgb = readings(0.001, 0.25, 2000)
     rgb[: int(share * len(rgb))] = np.array(values, np.float32).reshape(7, 3)
     with np.errstate(all="ignore"):
-        found, _ = measured_noise([rgb], PATTERNS, PATTERNS, ASSUMED)
+        found, _ = measured_noise([rgb], PATTERNS, [PATTERNS], ASSUMED)
     assert np.isfinite(found.sensor)
     assert np.isfinite(found.floor)
     assert found.sensor > 0

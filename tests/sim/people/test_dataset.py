@@ -128,10 +128,11 @@ def test_a_process_that_is_killed_is_reported_and_what_is_whole_is_kept(
 
 def test_a_folder_made_from_another_seed_is_refused(people):
     out, folders = people
-    before = fingerprint(folders[0])
+    before, listed = fingerprint(folders[0]), (out / "people.json").read_bytes()
     with pytest.raises(SimError, match="seed"):
         write_people(plan(out, 2, 2, 8), jobs=1)
     assert fingerprint(folders[0]) == before
+    assert (out / "people.json").read_bytes() == listed
 
 
 def test_two_runs_do_not_share_a_folder(people):
