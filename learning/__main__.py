@@ -95,7 +95,9 @@ def render(
     camera: CameraOption = "cam0",
     template: TemplateOption = None,
     mode: ModeOption = "dielectric",
-    background: Annotated[str, typer.Option(help="`white` or `black`.")] = "white",
+    background: Annotated[
+        str, typer.Option(help="`white`, `black`, or `none`: a .png with alpha.")
+    ] = "white",
     captured_only: Annotated[
         bool, typer.Option("--captured-only", help="Leave out texels of confidence 0.")
     ] = False,

@@ -31,6 +31,8 @@ from lightstage.formats.processed import ProcessedFolder
 
 SCHEMA = "lightstage.avatar/1"
 STAGES = ("fit", "detail", "export")
+KEYS = (*STAGES, "maps")
+"""What the record has: of each stage, and of a captured head's maps."""
 RECORD, PAGE = "avatar.json", "avatar.html"
 """What each stage was made of, by hash; and the page that shows what there is."""
 MARKS = {"fit": FIT, "detail": ABOUT, "export": README}
@@ -90,6 +92,8 @@ def avatar_command(
         "detail": _hash([fit_key, RELIEF_MM, TIMES]),
         "export": _hash([fit_key, formats]),
     }
+    if maps is not None and made.get("maps") != fit_key:
+        made = {"maps": fit_key}  # what is there was made of another head
     skipped = []
     notes: list[str] = []
     for stage in stages[: stages.index(until) + 1]:
@@ -238,7 +242,7 @@ def _record(out: Path) -> dict[str, str]:
     if not (out / RECORD).exists():
         return {}
     stages = read_json(out / RECORD, SCHEMA).get("stages")
-    return {k: v for k, v in stages.items() if k in STAGES} if isinstance(stages, dict) else {}
+    return {k: v for k, v in stages.items() if k in KEYS} if isinstance(stages, dict) else {}
 
 
 def _keep(out: Path, made: dict[str, str]) -> None:

@@ -76,7 +76,8 @@ LIGHT = "light.json"
 INFERRED = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal", "confidence")
 """Maps that `infer` writes. An atlas of a capture has others beside them."""
 ON_CPU = "Infer with --device cpu."
-BACKGROUNDS = {"white": 1.0, "black": 0.0}
+NO_BACKGROUND = "none"
+BACKGROUNDS = {"white": 1.0, "black": 0.0, NO_BACKGROUND: 0.0}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,9 +122,11 @@ def render_command(
     began = time.monotonic()
     out = request.out
     if background not in BACKGROUNDS:
-        raise ConfigError("--background", found=repr(background), expected="white or black")
+        raise ConfigError("--background", found=repr(background), expected=" or ".join(BACKGROUNDS))
     if out.suffix.lower() not in (".png", ".exr"):
         raise MapsError(out, found=f"suffix {out.suffix!r}", expected=".png or .exr")
+    if background == NO_BACKGROUND and out.suffix.lower() != ".png":
+        raise ConfigError("--background", found=f"none, for {out.name}", expected="a .png for none")
     if not 1 <= turntable <= 999:
         raise ConfigError("--turntable", found=str(turntable), expected="1 to 999 pictures")
     options = make_config(ShadeOptions, {"mode": request.mode}, "shading")
@@ -136,7 +139,7 @@ def render_command(
             head, lights, camera, BACKGROUNDS[background], captured_only, options, seen
         )
         name = out if turntable == 1 else out.with_stem(f"{out.stem}_{index:03d}")
-        write_picture(name, rgb, alpha)
+        write_picture(name, rgb, alpha if background == NO_BACKGROUND else None)
         progress(index + 1, turntable)
     return {
         "width_px": view.width_px,
@@ -369,7 +372,7 @@ def infer_command(
             )
     else:
         for option, value in (("--refine", refine), ("--mesostructure", mesostructure)):
-            if value:
+            if value and value != NONE:
                 raise ConfigError(
                     option,
                     found=f"{value}, with a network of patches",

@@ -68,7 +68,7 @@ FitRefineOption = Annotated[
     float | None,
     typer.Option(
         "--refine",
-        help="Seconds, at most, for the search of the light; "
+        help="Seconds, at most, for the last search of the light, by which skin is refined; "
         f"{FitConfig.refine_seconds:g} where not given, 0 for none.",
     ),
 ]

@@ -29,6 +29,8 @@ from processing.colour import srgb_from_linear
 FAR_MM = 100_000.0
 """Lights of a picture are this far away: a head turns them by less than 0.1 degrees."""
 
+LEAST_ALPHA = 1e-3
+"""Less of a pixel is none of 255 steps, whatever colour it has."""
 NETWORK, TABLE = "network:", "table:"
 SHADOWS = ("baked", "table", "none", f"{TABLE}FILE", f"{NETWORK}FILE")
 """Cast shadows: rays to every light; our template's table of them; none; another table's; a
@@ -169,15 +171,21 @@ def render_head(
 ) -> tuple[np.ndarray, np.ndarray]:
     """A picture of the head: (h, w, 3) linear rgb before a grey background, and (h, w) alpha.
 
-    Texels that were not captured show what they were filled with, unless `captured_only`.
+    Before black, rgb is that of the surface times alpha. Texels that were not captured show what
+    they were filled with, unless `captured_only`.
     """
     texture = lit_texture(head, lights, camera.centre_mm, options, seen)
     shown = head.captured if captured_only else head.raster.covered
     return render_view(texture, shown, head.mesh, camera, background)
 
 
-def write_picture(path: Path, rgb_linear: np.ndarray, alpha: np.ndarray) -> Path:
-    """Write .exr (linear, over the background) or .png (sRGB with alpha), atomically.
+def write_picture(path: Path, rgb_linear: np.ndarray, alpha: np.ndarray | None = None) -> Path:
+    """Write .exr (linear) or .png (sRGB), atomically.
+
+    Args:
+        path: of the picture.
+        rgb_linear: (h, w, 3), of the surface times `alpha` where that is given.
+        alpha: (h, w) of a .png without a background, which has the surface's own colours beside it.
 
     Raises:
         MapsError: another suffix.
@@ -186,5 +194,8 @@ def write_picture(path: Path, rgb_linear: np.ndarray, alpha: np.ndarray) -> Path
         return write_exr(path, rgb_linear)
     if path.suffix.lower() != ".png":
         raise MapsError(path, found=f"suffix {path.suffix!r}", expected=".png or .exr")
-    rgba = np.concatenate([srgb_from_linear(rgb_linear), alpha[..., None]], axis=2)
-    return write_png(path, np.round(rgba * 255).astype(np.uint8))
+    shown = rgb_linear if alpha is None else rgb_linear / np.maximum(alpha, LEAST_ALPHA)[..., None]
+    shown = srgb_from_linear(shown)
+    if alpha is not None:
+        shown = np.concatenate([shown, alpha[..., None]], axis=2)
+    return write_png(path, np.round(shown * 255).astype(np.uint8))

@@ -27,10 +27,11 @@ from learning.photo.command import FIT
 from learning.relight import lit_texture, shadows_of
 from learning.render.uv import UvRaster, rasterise
 from lightstage.commands import ProgressCallback
+from lightstage.commands.outputs import try_file
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.formats.environment import LightSet
-from lightstage.formats.files import without_nan, write_json, write_text
+from lightstage.formats.files import read_json, without_nan, write_json, write_text
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder, read_map
 from processing.colour import srgb_from_linear
@@ -110,6 +111,8 @@ def evaluate_command(
             found=counted(len(truth), "folder"),
             expected=f"one for each of {counted(len(inferred), 'inferred folder')}, or one for all",
         )
+    if out is not None:
+        _require_replaceable(out)
     recogniser = None if recognise is None else Recogniser(recognise)
     true_of = truth * len(inferred) if len(truth) == 1 else truth
     pairs: list[Pair] = []
@@ -143,9 +146,30 @@ def evaluate_command(
         "seconds": time.monotonic() - began,
     }
     if out is not None:
-        write_json(out, {"schema": SCHEMA, **without_nan(facts)})
         write_text(out.with_suffix(".md"), table(facts, means))
+        write_json(out, {"schema": SCHEMA, **without_nan(facts)})
     return facts
+
+
+def _require_replaceable(out: Path) -> None:
+    """Refuse a table's place that holds something else than the table of earlier figures there.
+
+    Raises:
+        LightstageError: a folder, a file that no evaluation wrote, or figures that are none.
+    """
+    beside = out.with_suffix(".md")
+    try_file("--out", beside)
+    if not beside.exists():
+        return
+    if not out.exists():
+        raise MapsError(
+            beside,
+            field="--out",
+            found="a file that no evaluation wrote",
+            expected=f"none, as the table of {out.name} goes there",
+            hint="Choose another --out.",
+        )
+    read_json(out, SCHEMA)
 
 
 def _by_person(pairs: list[Pair], values: Sequence[float | None]) -> list[list[float]]:

@@ -24,7 +24,6 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.files import write_bytes
 
 MAPS = "maps"
-TOP = 65535
 
 
 @dataclasses.dataclass(frozen=True)

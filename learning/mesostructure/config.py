@@ -17,7 +17,8 @@ class LitPatchesConfig:
 
     Attributes:
         patch_px: side of a patch.
-        textures: number of lit textures from which patches are cut before the first step.
+        textures: number of lit textures from which patches are cut before the first step, but at
+            least one of every scan.
         of_each: number of patches of each texture; all are held in memory, 1 MB each at 128 texels.
         min_known: smallest share of a patch's texels that must show skin.
         mirrored_share: share of the patches that are mirrored left to right.

@@ -126,6 +126,12 @@ def read_all(request: FitRequest, template: Template) -> tuple[list[Photograph],
         )
     if request.face < 1:
         raise ConfigError("--face", found=str(request.face), expected="1 for the largest, or more")
+    if request.landmarks is not None and request.face != 1:
+        raise ConfigError(
+            "--face",
+            found=f"{request.face}, given with --landmarks",
+            expected="one of them: the landmarks are of one face",
+        )
     marks = Marks(request, template)
     notes: list[str] = []
     photographs = []

@@ -27,7 +27,7 @@ class FitConfig:
         asymmetry: standard deviation of what the two sides of a face do not share, of `free_mm`.
         expression_spread: standard deviation of an expression's strength; 1 is its full one. Less
             than none, such as eyes that are wider than open, has a third of it.
-        refine_seconds: for the search of the light and the skin under it, at most.
+        refine_seconds: for the last search of the light and the skin under it, at most.
         marks_share: part of what the photograph shows beside the skins that people have, some
             millimetres wide and more, that is taken for the person's own: moles, stubble, brows.
             The rest is taken for light that the fitted shape did not explain.

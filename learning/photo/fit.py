@@ -41,6 +41,7 @@ from learning.upscale.network import Rcan
 from learning.whole.detail import enlarged as resized
 from learning.whole.gaps import continued
 from learning.whole.infer import infer_whole_face
+from learning.whole.light import SEARCH_SECONDS
 from learning.whole.refine import OF_TRUE_SHAPES, OwnShares
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.environment import LightSet
@@ -50,8 +51,6 @@ from lightstage.rig import Camera
 
 COARSE_ROWS = 384
 """Of the texture on which the mask of the skin is found."""
-FIRST_SECONDS = 6.0
-"""For the light of the coarse texture."""
 LEAST_SEEN = 0.05
 """Share of the face's texels that a photograph must show."""
 LARGEST_MISFIT = 3.0
@@ -263,7 +262,7 @@ def _look(
     texture = coarse.unwrapped.texture
     settled = False
     for _ in range(rounds - 1):
-        found = coarse.inferred(network, texture, skin, FIRST_SECONDS, camera, None)
+        found = coarse.inferred(network, texture, skin, SEARCH_SECONDS, camera, None)
         other = no_skin(found.maps["diffuse_albedo"], network, skin, keep)
         if found.light is None:
             # A hat or glasses may keep every light from explaining the photograph.
@@ -278,7 +277,7 @@ def _look(
         if settled:
             break
     if light and not settled:
-        found = coarse.inferred(network, texture, skin, FIRST_SECONDS, camera, None)
+        found = coarse.inferred(network, texture, skin, SEARCH_SECONDS, camera, None)
     masked = float(1 - (skin & face).sum() / max((shown & face).sum(), 1))
     return dataclasses.replace(
         looked, other=shown & ~skin, fringe=fringe, masked=masked, found=found

@@ -34,7 +34,7 @@ from learning.photo.unwrap import unwrap
 from learning.render.occlusion import ShadowCaster
 from learning.render.uv import rasterise, spread_outside
 from learning.render.view import cast_from, sample_bilinear, scene_of
-from learning.whole.light import Light, LightFit, LitSurface
+from learning.whole.light import SEARCH_SECONDS, Light, LightFit, LitSurface
 from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.formats.srgb import LUMINANCE
 from lightstage.formats.template import Template
@@ -46,8 +46,6 @@ STEPS = 6
 """Gauss-Newton steps of a round, at most."""
 SETTLED = 1e-4
 """A step that lowers the cost by less than this share is the round's last."""
-LIGHT_SECONDS = 20.0
-"""For the search of a photograph's lamps, at most; it takes 1 to 5."""
 DARK = 0.02
 """Light at which a pixel counts a quarter."""
 DARKEST = 0.002
@@ -292,7 +290,7 @@ class PixelFit:
         search = LightFit(surface, texture, (counts[covered] * shows_light).astype(float))
         light = self._lamps[index]
         if light is None:
-            until = time.monotonic() + LIGHT_SECONDS
+            until = time.monotonic() + SEARCH_SECONDS
             light = search.find(self._albedo, self._specular, None, until)
             self._lamps[index] = light
         _, lobe = search.columns(light.lamps_mm)

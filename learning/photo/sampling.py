@@ -13,14 +13,16 @@ def sampled(image: np.ndarray, places_px: np.ndarray) -> np.ndarray:
     """Bilinear values of an image at places, the border's beyond it.
 
     Args:
-        image: (h, w) or (h, w, c), float32 or float64.
+        image: (h, w) or (h, w, c). OpenCV rounds places in float64 images to 1/32 of a pixel, so
+            they are sampled as float32.
         places_px: (s, 2), the first pixel's middle at (0.5, 0.5).
 
     Returns:
-        (s) or (s, c) in the image's type.
+        (s) or (s, c) float32.
     """
     at = np.clip(places_px - 0.5, -1e4, 3e4).astype(np.float32)
-    out = np.zeros((len(at), *image.shape[2:]), image.dtype)
+    image = image.astype(np.float32, copy=False)
+    out = np.zeros((len(at), *image.shape[2:]), np.float32)
     for start in range(0, len(at), MOST_PLACES):
         part = at[start : start + MOST_PLACES]
         found = cv2.remap(

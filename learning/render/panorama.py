@@ -62,15 +62,6 @@ def solid_angles(rows: int) -> np.ndarray:
     return ((edges[:-1] - edges[1:]) * np.pi / rows)[:, None]
 
 
-def rotated(lights: Environment, angle_deg: float) -> Environment:
-    """Lights turned about +y, from +z toward +x; the camera stays."""
-    a = math.radians(angle_deg)
-    turn = lights.position_mm.new_tensor(
-        [[math.cos(a), 0, math.sin(a)], [0, 1, 0], [-math.sin(a), 0, math.cos(a)]]
-    )
-    return dataclasses.replace(lights, position_mm=lights.position_mm @ turn.T)
-
-
 def median_cut(panorama: Panorama, count: int, camera_mm: np.ndarray) -> Environment:
     """Directional lights of about equal power, one a rectangle of the picture [Debevec2005].
 

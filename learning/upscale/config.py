@@ -18,7 +18,7 @@ class PicturesConfig:
     Attributes:
         patch_px: side of an input patch; that of its truth is `network.times` as large.
         count: number of pictures that are made before the first step, lit textures and albedos in
-            equal parts; 7 kB for each thousand texels.
+            equal parts, but at least one of each of every scan; 7 kB for each thousand texels.
         min_coverage: smallest share of a patch that must show a surface.
         mirrored_share: share of the patches that are mirrored left to right.
         held_out_subjects: number of people, the last ones by name, who are scored and never trained

@@ -58,7 +58,7 @@ class FacesConfig:
         shadow_sets: number of sets of lights of each scan whose shadows are baked.
         white_balance: standard deviation of the logarithm of the photograph's red, green and blue.
         noise: standard deviation of the logarithm of a texel.
-        ggx_share: share of the batches that are shaded with facets and Fresnel's rise (see
+        ggx_share: share of the faces that are shaded with facets and Fresnel's rise (see
             `learning.render.shading`) instead of as the training is configured.
         partial_share: share of the pairs of which only the side toward some camera is shown.
         skin_share: share of the pairs of which only skin is shown: eyes that are closed, hair that

@@ -124,6 +124,12 @@ def infer_whole_face(
             notes = [*notes, f"{named[0]} was not refined, the network's answer is used: {found}"]
         else:
             refined = found
+            if not found.settled:
+                notes = [
+                    *notes,
+                    f"{named[0]}: the search for the light was ended after {refine_seconds:g} s "
+                    "and may change with more time (--refine)",
+                ]
             if mesostructure is not None and found.normals is None:
                 notes = [
                     *notes,

@@ -49,6 +49,10 @@ AMBIENT_SHINE = 1.3
 """What a face mirrors of light from everywhere, over the specular albedo: Fresnel's reflectance at
 n = 1.4 over F0 in the mean over directions up to 60 degrees from the normal."""
 
+SEARCH_SECONDS = 120.0
+"""For a search of which the user states no time. It ends by itself within 10 seconds of a quiet
+machine: what is found does not depend on how busy a machine is that is not ten times slower."""
+
 Lamps = tuple[tuple[float, float, float], ...]
 """Places of lamps, mm, head frame."""
 

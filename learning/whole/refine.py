@@ -112,6 +112,7 @@ class Refined:
             what the texture leaves open of it.
         normals: (rows, columns, 3) unit of the diffuse and of the specular light, head frame; None
             where nothing finer than the shape's was sought.
+        settled: whether the search ended by itself, not by the clock.
     """
 
     diffuse_albedo: np.ndarray
@@ -119,6 +120,7 @@ class Refined:
     light: LightSet
     deviation_log: np.ndarray
     normals: tuple[np.ndarray, np.ndarray] | None = None
+    settled: bool = True
 
 
 @dataclasses.dataclass(frozen=True)
@@ -207,8 +209,9 @@ def refine(
         change = np.abs(np.log(skin.albedo(found.along) / before)).mean()
         if change < SETTLED or time.monotonic() > until:
             break
+    settled = time.monotonic() <= until
     if light is None or light.misfit > largest_misfit:
-        if time.monotonic() > until:
+        if not settled:
             return f"{seconds:g} s were too few to find the light; give more by --refine"
         return "no light explains it"
     low_albedo = np.exp(answer.log_albedo)
@@ -242,7 +245,7 @@ def refine(
     albedo = _with_marks(low_albedo, unlit, known, raster.covered, sides, own, trust, scalp)
     deviation = np.zeros(here.shape)
     deviation[here] = log_deviation(skin.modes, found.covariance)
-    return Refined(albedo, known, _light_set(light), deviation, normals)
+    return Refined(albedo, known, _light_set(light), deviation, normals, settled)
 
 
 def _explained(

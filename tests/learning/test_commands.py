@@ -62,6 +62,7 @@ def test_render_writes_a_picture_of_the_head(
 ) -> None:
     picture, lit = tmp_path / "head.png", tmp_path / "lit.exr"
     words = ["render", *options(scene), "--out", picture, "--camera", "cam1", "--json"]
+    words += ["--background", "none"]
     assert run(monkeypatch, *words) == 0
     facts = json.loads(capsys.readouterr().out.splitlines()[-1])
     image = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)
@@ -82,7 +83,7 @@ def test_render_writes_a_picture_of_the_head(
     shown = cv2.remap(texture, *(np.full((1, 1), v, np.float32) for v in at), cv2.INTER_LINEAR)
     encoded = 1.055 * shown[0, 0] ** (1 / 2.4) - 0.055
     np.testing.assert_allclose(image[row, column], [*(255 * encoded[::-1]), 255], atol=2)
-    assert image[0, 0].tolist() == [255, 255, 255, 0]
+    assert image[0, 0].tolist() == [0, 0, 0, 0]
     linear = tmp_path / "head.exr"
     dark = ["render", *options(scene), "--out", linear, "--background", "black"]
     assert run(monkeypatch, *dark) == 0

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 import torch
@@ -18,7 +16,6 @@ from learning.render.panorama import (
     irradiance,
     median_cut,
     project,
-    rotated,
     solid_angles,
 )
 from lightstage.errors import FormatError
@@ -105,16 +102,6 @@ def test_harmonics_have_a_gradient_at_the_poles() -> None:
     assert torch.autograd.gradcheck(lambda n: irradiance(light, n), (grid,))
     with pytest.raises(MapsError, match="at most 4"):
         irradiance(torch.zeros(3, 36), grid)
-
-
-def test_light_turns_about_the_vertical() -> None:
-    lights = median_cut(room(), 8, CAMERA)
-    front = dataclasses.replace(lights, position_mm=torch.tensor([[[0.0, 0.0, 1.0]]]))
-    torch.testing.assert_close(
-        rotated(front, 90.0).position_mm, torch.tensor([[[1.0, 0.0, 0.0]]]), atol=1e-6, rtol=0
-    )
-    back = rotated(rotated(lights, 77.0), -77.0)
-    torch.testing.assert_close(back.position_mm, lights.position_mm, atol=1e-5, rtol=0)
 
 
 @settings(max_examples=40, deadline=None)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
+import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -142,6 +145,19 @@ def test_too_little_time_is_reported_as_such_and_keeps_the_networks_answer(
     assert "no light" not in found.notes[-1]
     plain = infer_whole_face(network, texture, mesh)
     np.testing.assert_array_equal(found.maps["diffuse_albedo"], plain.maps["diffuse_albedo"])
+
+
+def test_a_search_that_the_clock_ended_is_reported(
+    people: list[ProcessedFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network, _ = load_whole_face(shipped_weights())
+    mesh, texture, _, _ = photographed(people[0])
+    began = time.monotonic()
+    clock = itertools.chain([began], itertools.repeat(began + 1e9))
+    monkeypatch.setattr(refine, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    found = infer_whole_face(network, texture, mesh, refine_seconds=600)
+    assert found.light is not None
+    assert "was ended after 600 s" in found.notes[-1]
 
 
 def test_where_no_light_explains_a_texture_the_networks_answer_stays_and_is_reported(

@@ -12,7 +12,7 @@ from learning.__main__ import main
 from learning.commands import RenderRequest, _lit_head
 from learning.errors import MapsError
 from learning.map_folders import require_texture_maps
-from learning.relight import about_y, turned_camera
+from learning.relight import about_y, turned_camera, write_picture
 from learning.render.occlusion_model import OcclusionTable
 from learning.render.uv import rasterise
 from lightstage.commands import quiet
@@ -22,6 +22,7 @@ from lightstage.formats.files import write_json
 from lightstage.formats.mesh import read_obj, write_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Rig, default_rig, save_rig
+from processing.colour import srgb_from_linear
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
@@ -93,7 +94,44 @@ def test_render_takes_a_picture_of_light_turns_it_and_goes_round_the_head(
     assert run(monkeypatch, *base, "--out", tmp_path / "t.png", "--turntable", 3) == 0
     names = sorted(p.name for p in tmp_path.glob("t*.png"))
     assert names == ["t_000.png", "t_001.png", "t_002.png"]
-    assert cv2.imread(str(tmp_path / "t_001.png"), cv2.IMREAD_UNCHANGED).shape[2] == 4
+    assert cv2.imread(str(tmp_path / "t_001.png"), cv2.IMREAD_UNCHANGED).shape[2] == 3
+
+
+def test_pngs_are_over_their_background_and_without_one_keep_the_surfaces_colour_at_edges(
+    tmp_path: Path,
+) -> None:
+    skin, alpha = np.array([0.1, 0.2, 0.4]), np.array([[1.0, 0.5, 0.0]])
+
+    def read(name: str) -> np.ndarray:
+        return np.asarray(cv2.imread(str(tmp_path / name), cv2.IMREAD_UNCHANGED))
+
+    over_white = alpha[..., None] * skin + (1 - alpha[..., None])
+    write_picture(tmp_path / "white.png", over_white)
+    known = np.round(255 * srgb_from_linear(over_white))[..., ::-1]
+    np.testing.assert_array_equal(read("white.png"), known)
+    write_picture(tmp_path / "none.png", alpha[..., None] * skin, alpha)
+    found = read("none.png")
+    np.testing.assert_array_equal(found[0, 0, :3], np.round(255 * srgb_from_linear(skin))[::-1])
+    np.testing.assert_array_equal(found[0, 1, :3], found[0, 0, :3])
+    np.testing.assert_array_equal(found[0, :, 3], [255, 128, 0])
+
+
+def test_a_picture_without_a_background_is_a_png(
+    people: list[ProcessedFolder],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    base = ["render", "--maps", people[0].root / "atlas", "--rig", rig_file(tmp_path)]
+    base += ["--environment", panorama(tmp_path / "room.exr"), "--lights", 2]
+    none = [*base, "--background", "none", "--out"]
+    assert run(monkeypatch, *none, tmp_path / "x.exr") == 2
+    assert "--background: found none, for x.exr" in capsys.readouterr().err
+    assert not (tmp_path / "x.exr").exists()
+    assert run(monkeypatch, *none, tmp_path / "x.png") == 0
+    picture = cv2.imread(str(tmp_path / "x.png"), cv2.IMREAD_UNCHANGED)
+    assert picture.shape[2] == 4
+    assert 0 < picture[..., 3].mean() < 255
 
 
 def test_occlusion_writes_a_table(

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learning.bootstrap import interval
+from learning.evaluation import command
 from learning.evaluation.command import Pair, agreement, others_cosine
 from learning.evaluation.measures import (
     albedo_measures,
@@ -52,6 +53,26 @@ def test_a_person_against_themselves_has_no_error_and_a_factor_is_distinguished(
     assert written["data"] == "simulated"
     assert written["figures"]["albedo_psnr_db"]["low"] is None  # one person has no interval
     assert "simulated truth, 1 person" in out.with_suffix(".md").read_text()
+
+
+def test_a_table_that_no_evaluation_wrote_is_not_replaced_and_refused_before_any_work(
+    people: list[ProcessedFolder],
+    tmp_path: Path,
+    evaluate: Callable[..., Ended],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    person, out = people[0].root, tmp_path / "notes.json"
+    out.with_suffix(".md").write_text("mine")
+    monkeypatch.setattr(command, "_measured", None)  # nothing is measured
+    done = evaluate(person, "--truth", person, "--out", out)
+    assert (done.code, "notes.md, --out: found a file that no evaluation" in done.err) == (2, True)
+    out.write_text("{}")
+    assert evaluate(person, "--truth", person, "--out", out).code == 2
+    assert (out.with_suffix(".md").read_text(), out.read_text()) == ("mine", "{}")
+    (tmp_path / "folder.md").mkdir()
+    done = evaluate(person, "--truth", person, "--out", tmp_path / "folder.json")
+    assert (done.code, "folder.md" in done.err) == (2, True)
+    assert not (tmp_path / "folder.json").exists()
 
 
 def turned(person: ProcessedFolder, root: Path) -> ProcessedFolder:

@@ -243,6 +243,8 @@ def test_bad_input_is_refused_in_words_that_name_it(shot: Shot, tmp_path: Path) 
         {"schema": "lightstage.landmarks/1", "scheme": "mediapipe468", "points_px": {}},
     )
     assert "no person one.png" in refused(shot, out, "--landmarks", empty)
+    idle = refused(shot, out, "--landmarks", empty, "--face", "2")
+    assert "--face: found 2, given with --landmarks" in idle
     rows = "--rows: found 200, expected a multiple of 3"
     assert rows in refused(shot, out, "--rows", "200")
 
@@ -280,6 +282,11 @@ def test_a_captured_heads_maps_are_an_avatar_without_a_fit(
     assert facts()["skipped"] == ["detail", "export"]
     captured.write_atlas("diffuse_albedo", 0.5 * captured.read_atlas("diffuse_albedo"))
     assert facts()["skipped"] == []
+    # Another head's export does not stay where only detail is made anew.
+    captured.write_atlas("diffuse_albedo", 0.9 * captured.read_atlas("diffuse_albedo"))
+    again = facts("--until", "detail")
+    assert (again["parts"], again["skipped"]) == (["detail"], [])
+    assert "head.glb" not in (out / "avatar.html").read_text()
     for words, message in (
         ([*line, captured.registered_mesh], "found both"),
         ([word for word in line if word not in ("--maps", root)], "found neither"),

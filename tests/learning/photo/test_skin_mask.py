@@ -57,7 +57,7 @@ def test_a_hat_is_left_out_where_no_light_explains_the_photograph(
 def test_a_later_photograph_in_hardly_any_light_gives_the_shape_alone(
     shot: Shot, template: Template, places: Places, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fit, "FIRST_SECONDS", 0.0)  # no light is searched for
+    monkeypatch.setattr(fit, "SEARCH_SECONDS", 0.0)  # no light is searched for
     rgb = read_photograph(shot.path).rgb_linear
     good, dark = (
         Photograph(name, light * rgb, shot.landmarks_px, FOCAL_PX)
