@@ -95,7 +95,7 @@ def find_light(
     skins = [known_skin(network, s.answer, s.raster.covered, s.weight) for s in samples]
     texture = np.concatenate([s.colours for s in samples])
     fit = LightFit(surface, texture, np.concatenate([s.weight for s in samples]))
-    known = [Explained(s.answer, np.zeros((0, 3)), 1.0, s.doubt) for s in skins]
+    known = [Explained(s.answer, np.zeros((0, 3)), 1.0) for s in skins]
     light: Light | None = None
     for done in range(rounds):
         albedo = np.concatenate(_albedos(skins, known))

@@ -30,7 +30,7 @@ from learning.render.shading import unit
 from learning.render.uv import UvRaster, rasterise
 from learning.whole.closed_eyes import closed_eyes
 from learning.whole.detail import enlarged, with_detail
-from learning.whole.expected import doubt_of, expected_error, expected_of_refined
+from learning.whole.expected import expected_error, expected_of_refined
 from learning.whole.refine import (
     CAMERA_MM,
     LARGEST_MISFIT,
@@ -144,8 +144,7 @@ def infer_whole_face(
     else:
         diffuse = refined.diffuse_albedo
     specular = np.exp(enlarged(np.log(low_specular), rows, columns))
-    left_open = doubt_of(network) if refined is None else refined.deviation_log
-    error = expected_error(left_open, output.deviation, (rows, columns))
+    error = expected_error(output.deviation, (rows, columns))
     if refined is not None:
         error = expected_of_refined(error, diffuse, log_albedo, refined.known)
     normals = (normal, normal)

@@ -22,7 +22,6 @@ from learning.mesostructure.infer import TrainedMesostructure, find
 from learning.networks.whole_face import DARKEST, WholeFaceNetwork
 from learning.render.uv import UvRaster, rasterise
 from learning.whole.detail import enlarged
-from learning.whole.expected import log_deviation
 from learning.whole.gaps import sides_mirror, without_gaps
 from learning.whole.light import Light, LightFit, LitSurface
 from learning.whole.scalp import hair_share, skin_over_scalp
@@ -108,8 +107,6 @@ class Refined:
         known: (rows, columns) bool, where the texture shows it; elsewhere it was continued from
             around and from the face's other side.
         light: lamps and light from everywhere, in the head frame.
-        deviation_log: (h, w) standard deviation of the skin's logarithm at the network's size, by
-            what the texture leaves open of it.
         normals: (rows, columns, 3) unit of the diffuse and of the specular light, head frame; None
             where nothing finer than the shape's was sought.
         settled: whether the search ended by itself, not by the clock.
@@ -118,7 +115,6 @@ class Refined:
     diffuse_albedo: np.ndarray
     known: np.ndarray
     light: LightSet
-    deviation_log: np.ndarray
     normals: tuple[np.ndarray, np.ndarray] | None = None
     settled: bool = True
 
@@ -199,7 +195,7 @@ def refine(
     skin = known_skin(network, answer, here, weight)
     fit = LightFit(LitSurface(mesh, low, camera_mm), colours, weight)
     light: Light | None = None
-    found = Explained(skin.answer, np.zeros((0, 3)), 1.0, skin.doubt)
+    found = Explained(skin.answer, np.zeros((0, 3)), 1.0)
     for _ in range(ROUNDS):
         before = skin.albedo(found.along)
         light = fit.find(before, found.gloss * skin.specular, light, until)
@@ -243,9 +239,7 @@ def refine(
         normals = (frame.tilted(tilts[0]), frame.tilted(tilts[1]))
     sides = sides_mirror(network.mean_position_mm[0].permute(1, 2, 0).numpy())
     albedo = _with_marks(low_albedo, unlit, known, raster.covered, sides, own, trust, scalp)
-    deviation = np.zeros(here.shape)
-    deviation[here] = log_deviation(skin.modes, found.covariance)
-    return Refined(albedo, known, _light_set(light), deviation, normals, settled)
+    return Refined(albedo, known, _light_set(light), normals, settled)
 
 
 def _explained(

@@ -71,14 +71,12 @@ class Explained:
         along: (K,) of the skin, in standard deviations of people.
         rgb: (L, 3) of the lamps.
         gloss: factor on the specular albedo.
-        covariance: (K, K) of `along`, as far as the texture determines it.
         cost: what the squared errors and the distance from what was known before add up to.
     """
 
     along: np.ndarray
     rgb: np.ndarray
     gloss: float
-    covariance: np.ndarray
     cost: float = math.inf
 
 
@@ -123,8 +121,8 @@ def explain(
     values = problem.start()
     for _ in range(ROUNDS):
         problem.set_outlier_scale(values)
-        values, cost, normal = problem.descended(values)
-    return problem.answer(values, np.linalg.inv(normal), cost)
+        values, cost, _ = problem.descended(values)
+    return problem.answer(values, cost)
 
 
 class _Problem:
@@ -152,18 +150,12 @@ class _Problem:
         gloss = np.log(self._begin.gloss)
         return np.concatenate([self._begin.along, self._strength.ravel(), [gloss]])
 
-    def answer(self, values: np.ndarray, covariance: np.ndarray, cost: float) -> Explained:
-        """The skin and lamps of (u,) values of the unknowns, with their (u, u) covariance."""
+    def answer(self, values: np.ndarray, cost: float) -> Explained:
+        """The skin and lamps of (u,) values of the unknowns."""
         along, strength, gloss = self._parts(values)
         faint = self._begin.rgb <= 0
-        count = len(along)
-        return Explained(
-            along,
-            np.where(faint, 0.0, np.exp(strength)),
-            float(np.exp(gloss)),
-            covariance[:count, :count],
-            cost,
-        )
+        rgb = np.where(faint, 0.0, np.exp(strength))
+        return Explained(along, rgb, float(np.exp(gloss)), cost)
 
     def set_outlier_scale(self, values: np.ndarray) -> None:
         """Measure from where on a texel counts as far off."""

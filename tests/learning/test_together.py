@@ -64,7 +64,7 @@ def case(seed: int = 0, dark: float = 1.5, texels: int = TEXELS) -> Case:
         np.full(texels, 0.028),
     )
     texture = skin.albedo(along) * (irradiance @ rgb) + 0.028 * (lobe @ rgb)
-    begin = Explained(skin.answer, 1.3 * rgb, 1.0, np.eye(2))
+    begin = Explained(skin.answer, 1.3 * rgb, 1.0)
     return Case(texture, irradiance, lobe, skin, along, rgb, begin)
 
 
@@ -91,13 +91,15 @@ def test_highlights_correct_a_tone_that_the_network_found_too_dark() -> None:
     assert answer.gloss == pytest.approx(1.0, abs=GLOSS)
 
 
-def test_without_highlights_the_network_keeps_the_tone_and_its_doubt_stays() -> None:
+def test_without_highlights_more_of_the_networks_tone_stays() -> None:
     c = case()
     dull = dataclasses.replace(c, lobe=np.zeros_like(c.lobe))
     texture = c.skin.albedo(c.along) * (c.irradiance @ c.rgb)
-    with_highlights, without = found(c), found(dull, texture=texture)
-    assert without.covariance[0, 0] > 2 * with_highlights.covariance[0, 0]
-    assert without.covariance[0, 0] <= DOUBT * (1 + 1e-9)
+    with_highlights, without = (
+        abs(answer.along[0] - c.skin.answer[0])
+        for answer in (found(c), found(dull, texture=texture))
+    )
+    assert without < 0.5 * with_highlights
 
 
 def test_the_normal_equations_hold_the_slope_of_the_cost() -> None:
@@ -116,8 +118,8 @@ def test_a_plain_solver_of_the_same_cost_finds_the_same_answer() -> None:
     problem = _Problem(c.texture, np.ones(FEW), c.irradiance, c.lobe, c.skin, c.begin)
     problem.set_outlier_scale(problem.start() - 0.1)
     far = problem._far
-    values, cost, normal = problem.descended(problem.start())
-    answer = problem.answer(values, np.linalg.inv(normal), cost)
+    values, cost, _ = problem.descended(problem.start())
+    answer = problem.answer(values, cost)
     trust = (c.texture / (c.texture + DARK)) ** 2
     logs = np.log(1.3 * c.rgb).mean(axis=1, keepdims=True)
 
@@ -182,6 +184,6 @@ def test_any_brightness_and_any_black_texels_give_a_finite_answer(
     texture[:black] = 0.0
     begin = dataclasses.replace(c.begin, rgb=c.begin.rgb * scale)
     answer = explain(texture, np.ones(FEW), c.irradiance, c.lobe, c.skin, begin)
-    for values in (answer.along, answer.rgb, answer.covariance, np.array(answer.gloss)):
+    for values in (answer.along, answer.rgb, np.array(answer.gloss)):
         assert np.isfinite(values).all()
     assert (answer.rgb >= 0).all()
