@@ -75,7 +75,7 @@ def test_the_lamp_of_a_photograph_is_found(fitted: tuple[Path, Any], shot: Shot)
     strongest = light.position_mm[light.rgb.sum(axis=1).argmax()]
     true = KEY.position_mm[0]
     cosine = strongest @ true / np.linalg.norm(strongest) / np.linalg.norm(true)
-    assert np.degrees(np.arccos(cosine)) < 15
+    assert np.degrees(np.arccos(cosine)) < 4
 
 
 def test_the_texture_is_the_photographs_where_it_is_seen_and_whole_elsewhere(
@@ -87,17 +87,17 @@ def test_the_texture_is_the_photographs_where_it_is_seen_and_whole_elsewhere(
     mesh = read_obj(folder / "registered_mesh.obj")
     raster = rasterise(mesh, *texture.shape[:2])
     covered = raster.covered
-    assert (texture[covered].max(axis=1) > 0.003).mean() > 0.99
+    assert (texture[covered].max(axis=1) > 0.003).mean() > 0.999
     confidence = read_exr(folder / "atlas" / "confidence.exr")
-    assert 0.2 < (confidence[covered] > 0).mean() < 0.8
+    assert 0.25 < (confidence[covered] > 0).mean() < 0.45
     # What turns away from the camera, and from the lamp, is the same skin.
     place = raster.interpolate(mesh.vertices)
     face = covered & (place[..., 2] > 40) & (np.abs(place[..., 1] + 20) < 50)
     filled, shown = face & (confidence == 0), face & (confidence > 0)
     assert filled.sum() > 50
     albedo = read_exr(folder / "atlas" / "diffuse_albedo.exr")
-    assert 0.7 < np.median(albedo[filled]) / np.median(albedo[shown]) < 1.3
-    assert 0.05 < np.median(texture[filled]) / np.median(texture[shown]) < 1.0
+    assert 0.9 < np.median(albedo[filled]) / np.median(albedo[shown]) < 1.1
+    assert 0.2 < np.median(texture[filled]) / np.median(texture[shown]) < 0.4
 
 
 def require_exported(file: Path, mesh: Path) -> None:
@@ -112,8 +112,8 @@ def require_exported(file: Path, mesh: Path) -> None:
 def test_the_head_lies_over_its_photograph(fitted: tuple[Path, Any], shot: Shot) -> None:
     facts = json.loads((fitted[0] / "fit" / "fit.json").read_text())
     taken = facts["photographs"][0]
-    assert taken["landmark_px"] < 3
-    assert taken["focal_px"] == pytest.approx(FOCAL_PX, rel=0.1)
+    assert taken["landmark_px"] < 0.8
+    assert taken["focal_px"] == pytest.approx(FOCAL_PX, rel=0.01)
     assert (fitted[0] / "fit" / "fit.html").stat().st_size > 10_000
     assert (fitted[0] / "export" / "head.glb").stat().st_size > 10_000
 
