@@ -87,7 +87,10 @@ def calibrate_command(
         try:
             report = take_poses(chosen, shots, the_rig, taker, assistant, own, _poses_done)
         except (LightstageError, KeyboardInterrupt) as error:
-            flags = {f"--unattended={unattended}": unattended is not None}
+            flags = {
+                f"--unattended={unattended}": unattended is not None,
+                "--ignore-clock": ignore_clock,
+            }
             options = resume_with(leds, cameras, config, flags)
             line = calibrate_line(kind, rig.absolute(), out.absolute(), options)
             ended = stopped() if isinstance(error, KeyboardInterrupt) else error

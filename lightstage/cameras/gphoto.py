@@ -23,6 +23,7 @@ from lightstage.cameras import gphoto_settings as known
 from lightstage.cameras import gphoto_widgets as widgets
 from lightstage.cameras.camera import CardFile, Download, Exposure, Summary
 from lightstage.cameras.card_file import pieces, write_card_file
+from lightstage.cameras.file_names import is_photograph
 from lightstage.cameras.gphoto_events import Events, joined
 from lightstage.cameras.gphoto_link import Link, Patience
 from lightstage.counting import counted
@@ -182,7 +183,7 @@ class GphotoCamera:
         files = camera.folder_list_files(folder)
         for index in range(files.count()):
             name = files.get_name(index)
-            if known.is_photograph(name):
+            if is_photograph(name):
                 info = camera.file_get_info(folder, name).file
                 yield int(info.mtime), f"{folder.rstrip('/')}/{name}", int(info.size)
         folders = camera.folder_list_folders(folder)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable
 from typing import Any
 
-from lightstage.cameras import gphoto_settings as known
+from lightstage.cameras.file_names import raw_first, stem
 from lightstage.cameras.gphoto_link import BUSY, Link
 from lightstage.counting import counted
 from lightstage.errors import DeviceError
@@ -79,7 +79,7 @@ class Events:
             elif kind == link.library.GP_EVENT_CAPTURE_COMPLETE:
                 complete, heard_s = True, time.monotonic()
         self._known.update(names)
-        shots = {known.stem(name) for name in names}
+        shots = {stem(name) for name in names}
         if len(shots) != 1:
             raise DeviceError(
                 link.port,
@@ -93,7 +93,7 @@ class Events:
                 else "Is its card full? Did it focus?",
             )
         self.owed = len(names) < wanted
-        return tuple(sorted(names, key=known.raw_first)), exposed_s
+        return tuple(sorted(names, key=raw_first)), exposed_s
 
     def _next(self, link: Link, until: float) -> tuple[int, Any]:
         left_ms = int(1e3 * (until - time.monotonic()))

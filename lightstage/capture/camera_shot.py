@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Protocol
 
 from lightstage.cameras.camera import CameraDevice, CardFile, Exposure, Summary
+from lightstage.cameras.file_names import raw_first
 from lightstage.capture.absent import AbsentCameras
 from lightstage.capture.config import CaptureConfig
 from lightstage.capture.freshness import Freshness
@@ -236,7 +237,8 @@ class Photographer:
             # Which one is this light's, or whether it is an earlier one's, nobody can know.
             self._bring_home(camera, new, pattern, f"not certain to be of this light: {failure}")
             raise failure
-        return Exposure(new, at_s, time.monotonic())
+        files = tuple(sorted(new, key=lambda file: raw_first(file.name)))
+        return Exposure(files, at_s, time.monotonic())
 
     def _arrived(self, camera: CameraDevice, failure: DeviceError) -> tuple[CardFile, ...]:
         """What is new on the card of a camera that failed, which is started again where it must."""

@@ -202,7 +202,7 @@ def capture_command(
 
     flags = {
         "--clear": clear, "--delete-from-cameras": delete, "--unattended": unattended,
-        "--attended": attended,
+        "--attended": attended, "--ignore-clock": ignore_clock,
     }  # fmt: skip
     again = resume_with(leds, cameras, config, flags)
     order = dataclasses.replace(order, resume_with=again)

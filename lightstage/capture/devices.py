@@ -21,7 +21,7 @@ from lightstage.capture.stage import moved_finding
 from lightstage.errors import LightstageError
 from lightstage.findings import Finding
 from lightstage.leds.controller import Hello
-from lightstage.leds.opening import open_rig_leds
+from lightstage.leds.opening import open_rig_leds, require_controllers
 from lightstage.operator.plain import plain
 from lightstage.preflight import Plan, device_findings, settings_findings
 from lightstage.preflight.clock import computer_clock_findings
@@ -104,7 +104,9 @@ def look_at_devices(
 
     Raises:
         ConfigError: a malformed URL.
+        RigError: URLs of other controllers than the rig's.
     """
+    require_controllers(leds, rig)
     findings: list[Finding] = []
     cameras, summaries, found = _look_at_cameras(rig, file, config)
     findings += found

@@ -42,7 +42,7 @@ class PatternLight:
         begun_s = time.monotonic()
         self._lights = lights
         self.driven = lights.light(levels)
-        self._state = lights.state
+        self._state = lights.lit_state  # dark may have been asked for since
         self.lit_s = time.monotonic() - begun_s
         self._needed_by = set(cameras)
         self._after_s = after_s

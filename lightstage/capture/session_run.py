@@ -341,6 +341,8 @@ def _run(
     photographer = Photographer(stage.rig, writer, checks, config, stage.summaries, cards)
     before: dict[str, list[Finding]] = {}
     for kept in writer.state.frames():
+        if writer.state.accepted(kept.pattern, kept.camera) != kept:
+            continue  # an older take that came home late
         found = photographer.look_again(kept.pattern, kept.camera, order.root / kept.path)
         if kept.pattern in wanted:  # of a finished one it was decided
             before.setdefault(kept.pattern, []).extend(found)

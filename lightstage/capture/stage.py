@@ -65,15 +65,17 @@ def open_stage(rig: Rig, leds: str, file: CamerasFile, config: CaptureConfig) ->
     """
     worst_s = config.worst_shot_s(worst_answer_s(leds))
     raise_once()
-    with open_rig_leds(leds, rig) as device:
+    # Cameras are searched for in the dark, and closed when the lights are dark again.
+    with (
+        open_rig_leds(leds, rig) as device,
+        contextlib.ExitStack() as at_last,
+        SafeLights(device, config.safety, rig, worst_s) as lights,
+    ):
+        lights.dark()
         cameras = find_cameras(rig, file, config.deadlines, detect_ports)
-        try:
-            with SafeLights(device, config.safety, rig, worst_s) as lights:
-                lights.dark()
-                summaries, moved = _connect(rig, lights, cameras, file, config.preflight)
-                yield Stage(rig, lights, tuple(cameras), summaries, file, moved)
-        finally:
-            close_cameras(cameras)
+        at_last.callback(close_cameras, cameras)
+        summaries, moved = _connect(rig, lights, cameras, file, config.preflight)
+        yield Stage(rig, lights, tuple(cameras), summaries, file, moved)
 
 
 def _connect(

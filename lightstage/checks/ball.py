@@ -12,7 +12,7 @@ import numpy as np
 
 from lightstage.checks.photo_measures import Photo
 from lightstage.checks.sums import MIN_CELLS, lit_cells
-from lightstage.rig import Camera, Rig
+from lightstage.rig import Rig
 
 FLOOR = 0.02
 """Light of neighbouring skin and shirt that a ball does not see, share of full."""
@@ -58,10 +58,7 @@ class BallModel:
         x, y = x * shrink, y * shrink
         toward = -np.sqrt(1 - x * x - y * y)
         local = np.stack([x, y, toward], axis=1)
-        camera = self._cameras[camera_id]
-        if _stored_sideways(whole, camera):
-            local = np.stack([-y, x, toward], axis=1)
-        return lit, local @ camera.cam_from_world[:, :3]
+        return lit, local @ self._cameras[camera_id].cam_from_world[:, :3]
 
     def expected(self, directions: np.ndarray) -> np.ndarray:
         """(p, m) light of each pattern on surfaces that face (m, 3) directions."""
@@ -120,10 +117,3 @@ def brightness(seen: np.ndarray, expected: np.ndarray, weight: np.ndarray) -> fl
     """
     wanted = float((expected * weight).sum() / weight.sum())
     return (float((seen * weight).sum() / weight.sum()) + FLOOR) / (wanted + FLOOR)
-
-
-def _stored_sideways(photo: Photo, camera: Camera) -> bool:
-    """Whether the file's rows run along the camera's columns (a portrait camera's RAW)."""
-    rows, columns = photo.light.shape[:2]
-    tall = camera.height_px > camera.width_px
-    return camera.height_px != camera.width_px and rows != columns and tall != (rows > columns)

@@ -13,7 +13,7 @@ import numpy as np
 from lightstage.checks.noise import DIFFERENCE_GAIN, fit_noise
 from lightstage.errors import FormatError, unreadable_file
 from lightstage.formats.exr import MAGIC, read_exr
-from lightstage.formats.orientation import of_libraw
+from lightstage.formats.orientation import UNTURNED, Orientation, of_libraw
 
 BAYER = np.array([[0, 1], [1, 2]])
 PILE_FROM, PILE_SHARE = 0.85, 1e-4
@@ -128,7 +128,8 @@ def _measure_raw(path: Path, thumbnail_px: int) -> Photo:
             pattern, letters = raw.raw_pattern, raw.color_desc
             sizes = raw.sizes
             # A portrait camera stores landscape rows and a tag; the rig's rows are upright.
-            rows, columns = of_libraw(sizes.flip).shape((sizes.height, sizes.width))
+            orientation = of_libraw(sizes.flip)
+            rows, columns = orientation.shape((sizes.height, sizes.width))
             size = columns, rows
             bayer = pattern is not None and pattern.shape == (2, 2) and counts.ndim == 2
             if bayer:
@@ -143,7 +144,16 @@ def _measure_raw(path: Path, thumbnail_px: int) -> Photo:
             if not white > black.max():
                 raise ValueError(f"white level {white:g} below black level {black.max():g}")
             return measure_counts(
-                counts, colours, black, white, size, "raw", path, thumbnail_px, white - black
+                counts,
+                colours,
+                black,
+                white,
+                size,
+                "raw",
+                path,
+                thumbnail_px,
+                white - black,
+                orientation,
             )
     except (rawpy.LibRawError, ValueError, OSError) as error:
         raise unreadable_raw(path, error) from None
@@ -159,19 +169,21 @@ def measure_counts(
     where: Path,
     thumbnail_px: int = 192,
     span: np.ndarray | float = 1.0,
+    orientation: Orientation = UNTURNED,
 ) -> Photo:
     """Measure a mosaic.
 
     Args:
-        counts: (h, w).
+        counts: (h, w), as the sensor reads them.
         colours: (2, 2) 0, 1 or 2 for each place in a quad.
         black: counts without light, one number or (2, 2).
         white: counts from which a pixel is clipped; infinity where none is.
-        size_px: width and height of the whole.
+        size_px: width and height of the whole, upright.
         encoding: of the file.
         where: what to name in an error.
         thumbnail_px: longer side of the small picture, at most.
         span: from black to white, one number or (2, 2).
+        orientation: of the sensor; the small pictures are upright.
 
     Raises:
         FormatError: fewer than 8 x 8 pixels.
@@ -197,10 +209,11 @@ def measure_counts(
     pixels = 4 * quads * quads * rows * columns
     greatest, pile = float(extremes[1]), int(extremes[2])
     span_dn = float(np.mean(span))
-    full_early = math.isfinite(white) and PILE_FROM * white <= greatest < white
-    if full_early and pile > max(PILE_SHARE * pixels, 16):
-        cells_kernel(counts, colours, dark, greatest, quads, light, detail, clipped, extremes)
+    full = full_level(greatest, pile, pixels, white)
+    if full < white:
+        cells_kernel(counts, colours, dark, full, quads, light, detail, clipped, extremes)
     digest = hashlib.sha256(light.tobytes() + clipped.tobytes()).hexdigest()
+    light, detail, clipped = map(orientation.upright, (light, detail, clipped))
     return _photo(
         light / span_dn,
         detail / span_dn**2,
@@ -212,6 +225,19 @@ def measure_counts(
         wild=int(extremes[3]),
         digest=digest,
     )
+
+
+def full_level(greatest: float, pile: int, pixels: int, white: float) -> float:
+    """The count from which a pixel is clipped: white, or less where a sensor is full before it.
+
+    Args:
+        greatest: count of the photograph.
+        pile: number of pixels that have it.
+        pixels: number of all.
+        white: the file's white level, or infinity.
+    """
+    early = math.isfinite(white) and PILE_FROM * white <= greatest < white
+    return greatest if early and pile > max(PILE_SHARE * pixels, 16) else white
 
 
 def _photo(

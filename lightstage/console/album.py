@@ -33,6 +33,8 @@ class Album:
     def __init__(self, config: ConsoleConfig) -> None:
         self._config = config
         self._lock = threading.Lock()
+        # As many are given out as are made at a time: none waits while its own time runs.
+        self._free = asyncio.Semaphore(config.makers)
         self._pool: concurrent.futures.ProcessPoolExecutor | None = None
         # Those whose processes were ended for one that hung: the others' pictures are made anew.
         self._ended: weakref.WeakSet[concurrent.futures.ProcessPoolExecutor] = weakref.WeakSet()
@@ -91,6 +93,10 @@ class Album:
             _end(pool, cancel=True)
 
     async def _make(self, path: Path, make: Callable[..., Any], *arguments: Any) -> Any:
+        async with self._free:
+            return await self._make_now(path, make, *arguments)
+
+    async def _make_now(self, path: Path, make: Callable[..., Any], *arguments: Any) -> Any:
         while True:
             pool = self._executor()
             work: concurrent.futures.Future[Any] | None = None

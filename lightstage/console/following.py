@@ -131,7 +131,7 @@ class Followed:
     def _take_up(self, line: Mapping[str, Any]) -> None:
         words = self.view.receive(line)
         event = text_of(line, "event")
-        self._warmth.receive(line, self.view.pattern is not None)
+        self._warmth.receive(line, self.view.pattern is not None and not self.view.unlit)
         if event in ("begin", "resume"):
             self._socket, self._still, self._live = "", False, False
             self.max_misfit = _max_misfit(line)
@@ -175,6 +175,9 @@ class Followed:
         except FormatError:
             return  # a path that leads out of the folder: the photograph is not shown
         take = int(number_of(line, "take") or 1)
+        shown = self._photographs.get((pattern, camera))
+        if shown is not None and take < shown.take:
+            return  # an older take may come home after the one that counts
         self._photographs[pattern, camera] = Photograph(path, take, text_of(line, "sha256"))
 
     def budget(self) -> Budget | None:
@@ -188,7 +191,7 @@ class Followed:
         return self._live and not self.view.over
 
     def photograph(self, pattern: str, camera: str) -> Photograph | None:
-        """The latest photograph of a pattern by a camera."""
+        """The last take's photograph of a pattern by a camera."""
         return self._photographs.get((pattern, camera))
 
     def photographs_of(self, camera: str) -> list[tuple[str, Photograph]]:

@@ -19,6 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from lightstage.checks.photo_measures import full_level
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.exr import MAGIC, read_exr
 from lightstage.formats.orientation import of_libraw
@@ -268,6 +269,8 @@ def _cells(
     number = np.zeros(3)
     clipped = np.zeros(3)
     full = np.zeros((rows, columns, 3), bool)
+    greatest = counts.max()
+    level = full_level(float(greatest), int((counts == greatest).sum()), counts.size, white)
     for y in (0, 1):
         for x in (0, 1):
             kind = kinds[y][x]
@@ -279,9 +282,9 @@ def _cells(
                     part = counts[2 * down + y :: 2 * cell, 2 * right + x :: 2 * cell]
                     part = part[:rows, :columns]
                     total[..., colour] += (part - black[kind % len(black)]) / span
-                    at_white = part >= white
-                    full[..., colour] |= at_white
-                    clipped[colour] += at_white.mean()
+                    is_full = part >= level
+                    full[..., colour] |= is_full
+                    clipped[colour] += is_full.mean()
                     number[colour] += 1
     clipped /= np.maximum(number, 1)
     known = number > 0

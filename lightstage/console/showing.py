@@ -136,8 +136,9 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
         starting = is_starting(followed, state)
         if starting:
             sign, words = "…", "STARTING"
-        if view.phase == "running" and view.pattern is not None:
-            sign, words = "●", f"LIT: {view.pattern}"
+        if view.phase == "running" and view.pattern is not None and not view.unlit:
+            # Where all have exposed, the light may be out while they are read.
+            sign, words = "●", f"{'LIT' if view.needs_light else 'TAKING'}: {view.pattern}"
         left = "" if view.over else duration(view.left_s())
         late = ""
         if view.late is not None:

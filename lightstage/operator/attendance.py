@@ -140,9 +140,13 @@ class Requests:
                 self._lit[pattern] = None
         elif event == "asked":
             self._asked = pattern if isinstance(pattern, str) else ""
-        elif event == "begin":
-            sequence = line.get("sequence")
-            self._left = set(sequence) if isinstance(sequence, list) else None
+        elif event in ("begin", "resume"):
+            # The lines of an earlier run, up to its end, come before those of this one.
+            with self._changed:
+                self._over = self._paused = False
+            if event == "begin":
+                sequence = line.get("sequence")
+                self._left = set(sequence) if isinstance(sequence, list) else None
         elif event == "rejected" and self._left is not None:
             self._left.add(str(pattern))
         elif event == "retake" and self._left is not None:

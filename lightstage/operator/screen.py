@@ -142,8 +142,7 @@ class Screen:
             line.append("Lights and cameras are being checked.", "bold")
             return line
         elif view.phase == "running" and view.pattern:
-            unlit = view.late is not None and not view.late.lit
-            line.append("DARK" if unlit else f"TAKING {view.pattern}", "bold")
+            line.append("DARK" if view.unlit else f"TAKING {view.pattern}", "bold")
             self._countdown(line)
         else:
             line.append("DARK", "bold")

@@ -122,7 +122,8 @@ class TerminalOperator:
 
     def request(self, do: str, pattern: str = "") -> str | None:
         """Asked from elsewhere; why not, or None where it is accepted."""
-        if do == "abort" and self._stopped_s is None:  # seen at once; the lights may take longer
+        # Seen at once, as the lights may take longer; but only where it is going to happen.
+        if do == "abort" and self._stopped_s is None and do in self._requests.possible:
             self._heard, self._stopped_s = HEARD[do], time.monotonic()
             self._show.report(Notice("stop", HEARD[do]))
         of = "" if self._question else pattern or self._requests.shown

@@ -33,6 +33,8 @@ State = Literal[
     "idle", "triggering", "downloading", "kept", "failed", "late", "restarting", "in question"
 ]
 AT_WORK: tuple[State, ...] = ("triggering", "downloading", "late", "restarting")
+UNEXPOSED: tuple[State, ...] = ("idle", "triggering", "late")
+"""What a camera is that needs the light of the pattern still."""
 Phase = Literal["before", "running", "asked", "paused", "aborted", "complete", "gone"]
 
 SHOTS_MEASURED = 9
@@ -169,6 +171,17 @@ class View:
         left = sum(pattern not in self.done for pattern in self.patterns)
         late_s = None if self.late is None else self.late.left_s()
         return left * statistics.median(shots_s) + (late_s or 0.0)
+
+    @property
+    def unlit(self) -> bool:
+        """Whether the pattern's light was put out, as a line states, while a camera is late."""
+        return self.late is not None and not self.late.lit
+
+    @property
+    def needs_light(self) -> bool:
+        """Whether a camera has not exposed the pattern yet; the light may go out after the last."""
+        waiting = any(camera.state in UNEXPOSED for camera in self.cameras.values())
+        return self.pattern is not None and not self.unlit and waiting
 
     @property
     def over(self) -> bool:
@@ -325,10 +338,9 @@ class View:
     def _frame(self, line: Mapping[str, Any]) -> None:
         self._mark(line, "kept", "kept")
         take = int(number_of(line, "take") or 1)
-        if take > 1:
+        # An older take may come home after the one that counts.
+        if take > self.takes.get(self._place(line), 1):
             self.takes[self._place(line)] = take
-        else:
-            self.takes.pop(self._place(line), None)
         camera, size = self._camera(line), number_of(line, "size")
         if camera is not None and camera.card_free_bytes is not None and size is not None:
             camera.card_free_bytes = max(0.0, camera.card_free_bytes - size)

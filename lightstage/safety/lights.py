@@ -59,6 +59,7 @@ class SafeLights:
         self._flashes = FlashCounter(len(rig.lights))
         self._spent = Spent(len(rig.lights), config.heat_time_constant_s)
         self._number = 0  # of the state; one more with each light and each dark
+        self._lit_number = 0
         self._failure: LightstageError | None = None
         self._changed_s = self._heard_s = -np.inf
         self._until_s = np.inf
@@ -89,6 +90,11 @@ class SafeLights:
     def state(self) -> int:
         """Number of what was asked for last: another with every light and every dark."""
         return self._number
+
+    @property
+    def lit_state(self) -> int:
+        """`state` of the last light that was lit: another one since then is not that light."""
+        return self._lit_number
 
     @property
     def guardian_pid(self) -> int | None:
@@ -132,6 +138,7 @@ class SafeLights:
                 # Dark was asked for, and done, just before this light was sent.
                 self.dark()
                 raise _put_out_meanwhile()
+            self._lit_number = number
             return driven
 
     def confirm(self) -> None:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lightstage.cameras import file_names
 from lightstage.cameras import gphoto_settings as known
 from lightstage.cameras.gphoto import GphotoCamera
 from lightstage.errors import DeviceError
@@ -101,7 +102,8 @@ def test_a_charge_is_a_percentage_or_unknown(text):
 
 @given(st.text(max_size=20))
 def test_whatever_is_not_known_to_be_something_else_is_a_photograph(name):
-    assert known.is_photograph(name) == (known.suffix(name) not in known.NO_PHOTOGRAPHS)
-    assert known.is_photograph(name + ".NEF")
-    assert known.is_photograph("MOV")
-    assert not known.is_photograph("A.MOV")
+    known_suffix = file_names.suffix(name) in file_names.NO_PHOTOGRAPHS
+    assert file_names.is_photograph(name) != known_suffix
+    assert file_names.is_photograph(name + ".NEF")
+    assert file_names.is_photograph("MOV")
+    assert not file_names.is_photograph("A.MOV")

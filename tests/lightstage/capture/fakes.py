@@ -35,12 +35,13 @@ class Lights:
         self.pulse_hz = None
         self.fail: dict[str, tuple[int, int, Exception]] = {}
         self.levels = np.zeros(count)
-        self.state = 0
+        self.state = self.lit_state = 0
         self._counts: dict[str, int] = {}
         self._lock = threading.Lock()
 
     def light(self, levels: np.ndarray) -> np.ndarray:
         self._did("light")
+        self.lit_state = self.state
         self.levels = np.round(levels * 65535) / 65535
         return self.levels
 

@@ -1,7 +1,9 @@
 """Faults of simulated sessions are found and named; good photographs pass; nothing crashes."""
 
+import dataclasses
 import json
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -9,11 +11,14 @@ import pytest
 
 from benchmarks.check_faults import BINARY, POLARISED
 from lightstage.checks import ChecksConfig, ShotChecks
+from lightstage.checks.photo_measures import measure_counts
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config
 from lightstage.formats.exr import write_exr
+from lightstage.formats.orientation import of_libraw
 from lightstage.patterns import pattern_levels
-from lightstage.sequence import Shot
+from lightstage.rig import default_rig
+from lightstage.sequence import Shot, plan_shots
 from sim.camera.dng import Exif, dng_bytes
 from sim.camera.optics import defocus
 
@@ -36,6 +41,48 @@ def named(findings, code):
 def only(camera, pattern, photo):
     """Replaces one photograph."""
     return lambda c, p: photo if (c, p) == (camera, pattern) else None
+
+
+def ball(camera, levels, directions):
+    """(h, w) light of a matte ball before a camera."""
+    x, y = np.meshgrid(np.arange(camera.width_px) + 0.5, np.arange(camera.height_px) + 0.5)
+    x, y = (x - camera.width_px / 2) / 150, (y - camera.height_px / 2) / 150
+    toward = -np.sqrt(np.clip(1 - x * x - y * y, 0, 1))
+    normal = np.stack([x, y, toward], axis=-1) @ camera.cam_from_world[:, :3]
+    lit = np.maximum(normal @ directions.T, 0) @ levels / 30
+    return np.where(x * x + y * y < 1, lit, 0)
+
+
+@pytest.mark.parametrize("flip", [0, 3, 5, 6])
+def test_a_camera_is_judged_upright_however_it_is_mounted(flip):
+    """LibRaw's flips: landscape, upside down, and portrait on either side."""
+    rig = default_rig()
+    cameras = [dataclasses.replace(c, width_px=360, height_px=540) for c in rig.cameras[:3]]
+    rig = dataclasses.replace(rig, cameras=tuple(cameras))
+    directions = rig.positions_mm / np.linalg.norm(rig.positions_mm, axis=1, keepdims=True)
+    shots, mounted = plan_shots(("full", "x+", "x-", "y+", "y-"), rig), of_libraw(flip)
+    checks, rng = ShotChecks(rig, shots), np.random.default_rng(0)
+    found = []
+    for shot in shots:
+        for camera in rig.cameras:
+            upright = 512 + 3000 * ball(camera, shot.levels, directions)
+            read = mounted.as_read(upright + rng.normal(0, 5, upright.shape))
+            counts = np.ascontiguousarray(np.round(read), np.uint16)
+            photo = measure_counts(
+                counts,
+                np.array([[0, 1], [1, 2]]),
+                512.0,
+                16383.0,
+                (360, 540),
+                "raw",
+                Path(camera.id),
+                span=16383.0 - 512.0,
+                orientation=mounted,
+            )
+            assert photo.light.shape[0] > photo.light.shape[1]
+            found += checks.add(shot.pattern, camera.id, photo)
+        found += checks.shot(shot.pattern)
+    assert [finding.code for finding in found if finding.severity == "retake"] == []
 
 
 @pytest.mark.parametrize("person", ["light", "dark"])

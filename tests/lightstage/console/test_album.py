@@ -6,9 +6,10 @@ import asyncio
 import dataclasses
 import multiprocessing
 import os
+import time
 from pathlib import Path
 
-from lightstage.console.album import Album
+from lightstage.console.album import Album, behind_is_ready
 from lightstage.console.config import ConsoleConfig
 from lightstage.console.following import Photograph
 from lightstage.errors import FormatError
@@ -49,3 +50,17 @@ def test_a_photograph_that_is_read_for_ever_keeps_neither_others_nor_the_end_wai
     assert other.startswith(b"\xff\xd8")
     album.close()
     wait_until(lambda: set(multiprocessing.active_children()) <= before, "the processes' end")
+
+
+def test_a_picture_that_waits_for_others_has_its_own_time(tmp_path: Path) -> None:
+    """One process, a limit of two seconds, and work for three."""
+    album = Album(dataclasses.replace(ONE, picture_s=2.0))
+    path = tmp_path / "any.dng"
+
+    async def all_made() -> list[object]:
+        await album._make(path, behind_is_ready)
+        waiting = [album._make(path, time.sleep, 0.5) for _ in range(6)]
+        return await asyncio.gather(*waiting, return_exceptions=True)
+
+    assert asyncio.run(all_made()) == [None] * 6
+    album.close()

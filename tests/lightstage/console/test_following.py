@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from lightstage.checks.config import ChecksConfig
 from lightstage.checks.sums import Sum
 from lightstage.console.following import GRACE_S, Following
-from lightstage.console.showing import sum_words
+from lightstage.console.showing import desk_values, sum_words
 from lightstage.console.sums import SumFacts
 
 
@@ -69,6 +70,48 @@ def test_a_capture_that_was_killed_before_it_named_a_socket_is_seen_as_such(
     journal.begin()
     journal.was_written(2 * GRACE_S)
     assert Following(10).of(journal.root).view.phase == "gone"
+
+
+def test_an_older_take_that_comes_home_late_is_not_shown_in_place_of_the_one_that_counts(
+    journal: Journal,
+) -> None:
+    journal.begin()
+    for take in (2, 1):
+        path = "frames/x+/cam0.dng" if take == 1 else "frames/x+/cam0.take2.dng"
+        journal.add("frame", pattern="x+", camera="cam0", take=take, path=path, sha256=str(take))
+    followed = Following(10).of(journal.root)
+    shown = followed.photograph("x+", "cam0")
+    assert shown is not None
+    assert shown.take == 2
+    assert followed.view.takes == {("x+", "cam0"): 2}
+
+
+def test_the_page_and_the_heat_know_that_the_light_is_out_while_a_camera_is_late(
+    journal: Journal,
+) -> None:
+    journal.begin()
+    journal.add("lit", pattern="x+", levels=[1.0, 1.0], acknowledged=True)
+    followed = Following(10).of(journal.root)
+    assert desk_values(followed, None, 9)["words"] == "LIT: x+"
+    journal.add("waiting", pattern="x+", cameras=["cam0"], lit=True, dark_in_s=5.0)
+    followed.update()
+    assert desk_values(followed, None, 9)["words"] == "LIT: x+"
+    journal.add("waiting", pattern="x+", cameras=["cam0"], lit=False, ended_in_s=25.0)
+    followed.update()
+    assert desk_values(followed, None, 9)["words"] == "DARK, at work"
+    first = followed.budget()
+    time.sleep(0.3)
+    second = followed.budget()
+    assert first is not None
+    assert second is not None
+    assert second.on_s == first.on_s
+    assert second.heat < first.heat
+    journal.add("exposed", pattern="x+", camera="cam0", take=1)
+    journal.add("lit", pattern="x+", levels=[1.0, 1.0], acknowledged=True)
+    journal.add("exposed", pattern="x+", camera="cam0", take=2)
+    followed.update()
+    # The only camera has exposed: the light may go out while it is read.
+    assert desk_values(followed, None, 9)["words"] == "TAKING: x+"
 
 
 def test_the_page_states_the_limit_of_sums_that_the_capture_itself_keeps(journal: Journal) -> None:

@@ -148,7 +148,7 @@ def test_a_broken_photograph_reports_it_and_the_others_are_shown(site, dng) -> N
 
 
 def test_clipped_pixels_are_painted_and_counted(site, dng) -> None:
-    write_session(site.desk.folder / "P1+neutral", dng(16383 - 8))
+    write_session(site.desk.folder / "P1+neutral", dng(12000))
     look = site.visitor().get("/session/P1+neutral/full/cam0/1/look").text
     assert "Nothing is clipped" in look
     root = write_session(site.desk.folder / "P2+neutral", dng(20000))

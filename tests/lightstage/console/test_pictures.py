@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lightstage.checks.photo_measures import full_level
 from lightstage.console.pictures import _cells, large
 from lightstage.console.showing import look_values
 from lightstage.formats.exr import write_exr
@@ -27,6 +28,21 @@ def test_a_clipped_count_is_one_pixel_of_its_colour_however_large_the_cells_are(
     assert full[0, 0, 0]
     assert full.sum() == 2
     np.testing.assert_allclose(clipped, [1 / 64, 1 / 128, 0.0])
+
+
+def test_a_sensor_that_is_full_before_white_is_clipped_as_the_checks_say() -> None:
+    counts = np.full((40, 40), 500, np.uint16)
+    counts[:8, :8] = 900
+    black = np.zeros(4, np.float32)
+    assert full_level(900.0, 64, counts.size, 1000.0) == 900.0
+    _, full, clipped = _cells(counts, BAYER, b"RGBG", black, 1000.0, 20, 8)
+    np.testing.assert_allclose(clipped, [64 / 1600] * 3)
+    assert full[:4, :4].all()
+    assert full.sum() == 3 * 16
+    # A few bright pixels are no pile.
+    counts[:] = 500
+    counts[:2, :2] = 900
+    assert not _cells(counts, BAYER, b"RGBG", black, 1000.0, 20, 8)[1].any()
 
 
 def test_a_developed_photograph_is_not_said_to_be_free_of_clipped_pixels(tmp_path: Path) -> None:

@@ -1,6 +1,8 @@
 """Who decides: the rule without anybody, and requests that are neither lost nor contradictory."""
 
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import get_args
 
 import pytest
@@ -107,6 +109,26 @@ def test_what_makes_no_sense_is_refused_with_the_reason(lines, asked, do, why):
     for each in asked:
         assert requests.request(each) is None
     assert why in requests.request(do)
+
+
+@pytest.mark.parametrize("again", ["resume", "begin"])
+@pytest.mark.parametrize("ended", ["aborted", "end"])
+def test_a_resumed_session_and_the_next_pose_hear_what_is_asked_for(again, ended):
+    """Lines of the earlier run, its end among them, are received before those of this one."""
+    requests, acted = Requests(), []
+    for event in ("begin", "lit", "shot", ended, again, "lit"):
+        requests.receive({"event": event, "pattern": "x+", "sequence": ["x+", "x-"]})
+    requests.at_abort(lambda: acted.append("dark"))
+    assert "abort" in requests.possible
+    assert requests.request("pause") is None
+    with ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(requests.ask, ("retake", "accept", "abort"))
+        until = time.monotonic() + 10
+        while requests.request("accept") is not None and time.monotonic() < until:
+            time.sleep(0.01)
+        assert answer.result(10) == "accept"
+    assert requests.request("abort") is None
+    assert acted == ["dark"]
 
 
 def test_wishes_come_in_their_order():

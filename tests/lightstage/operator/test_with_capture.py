@@ -61,6 +61,14 @@ def test_q_in_the_middle_is_a_stop_and_the_advised_line_goes_on(stage, capture, 
     assert kept >= 6
 
     program, *words = shlex.split(advised)
+    # A resumed capture is stopped as the first was.
+    lit = len(events(out, "lit"))
+    again = terminals("-m", program, *words)
+    again.wait_until(lambda: len(events(out, "lit")) > lit, "no light after the resume")
+    again.press("q")
+    assert again.end() == INTERRUPTED, again.output[-3000:]
+    assert stage.device.dark
+    assert len(events(out, "aborted")) == 2
     again = terminals("-m", program, *words)
     assert again.end() == 0, again.output[-3000:]
     again.wait_for("12 of 12 photographs, COMPLETE")
