@@ -96,13 +96,17 @@ def others_in(folder: Path, own: Iterable[str]) -> list[str]:
     return [name for name in there if not any(fnmatch.fnmatch(name, each) for each in own)]
 
 
-def require_replaceable(path: Path, marker: str, kind: str | None = None) -> None:
+def require_replaceable(
+    path: Path, marker: str, kind: str | None = None, schema: str | None = None
+) -> None:
     """Refuse an output folder that a command of this kind did not make.
 
     Args:
         path: the folder to make or to replace.
         marker: a file that a folder of this kind holds.
         kind: the `kind` that the marker, a JSON object, must have; None where its name is enough.
+        schema: the `schema` that it must have, of any version; None where other files of its name
+            have the same or none.
 
     Raises:
         FormatError: `path` is a file, a folder that holds something and is of another kind, or the
@@ -122,14 +126,16 @@ def require_replaceable(path: Path, marker: str, kind: str | None = None) -> Non
     found = ""
     if not (path / marker).is_file():
         found = f"something else that holds no {marker}"
-    elif kind is not None:
+    elif kind is not None or schema is not None:
         try:
             value = read_json(path / marker)
         except FormatError:
             value = None
-        has = value.get("kind") if isinstance(value, dict) else None
-        if has != kind:
-            found = f"a folder whose {marker} is of kind {has!r}, not {kind!r}"
+        value = value if isinstance(value, dict) else {}
+        if kind is not None and value.get("kind") != kind:
+            found = f"a folder whose {marker} is of kind {value.get('kind')!r}, not {kind!r}"
+        elif schema is not None and _stem(value.get("schema")) != _stem(schema):
+            found = f"a folder whose {marker} is {value.get('schema')!r}, not {schema!r}"
     if found:
         raise FormatError(
             path,
@@ -137,6 +143,11 @@ def require_replaceable(path: Path, marker: str, kind: str | None = None) -> Non
             expected="a new folder, or one made by the same command",
             hint="Choose another output folder.",
         )
+
+
+def _stem(schema: object) -> str:
+    """A schema without its version."""
+    return str(schema).rpartition("/")[0]
 
 
 def _working_folder() -> Path | None:
@@ -170,7 +181,9 @@ def require_new(path: Path, overwrite: bool, marker: str, kind: str | None = Non
 
 
 @contextlib.contextmanager
-def atomic_folder(path: Path, marker: str, kind: str | None = None) -> Iterator[Path]:
+def atomic_folder(
+    path: Path, marker: str, kind: str | None = None, schema: str | None = None
+) -> Iterator[Path]:
     """Yield a new folder beside `path` to fill; on success it takes the place of `path`.
 
     If the block raises, the new folder is removed and `path` is left as it was.
@@ -180,12 +193,13 @@ def atomic_folder(path: Path, marker: str, kind: str | None = None) -> Iterator[
         marker: a file that a folder of this kind holds. A folder that exists, holds something and
             lacks it is somebody else's and is refused.
         kind: see `require_replaceable`.
+        schema: see `require_replaceable`.
 
     Raises:
         FormatError: see `require_replaceable`.
         DiskFullError: the disk filled up, whatever the writer raised for it.
     """
-    require_replaceable(path, marker, kind)
+    require_replaceable(path, marker, kind, schema)
     # Of a link what it leads to is replaced, and the link stays.
     path = path.resolve()
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -14,8 +14,11 @@ from typing import Any
 
 from lightstage.errors import FormatError, LightstageError, one_error
 from lightstage.formats.calibration_shots import NAME, Shots, read_shots
-from lightstage.formats.files import sha256_file
+from lightstage.formats.files import read_json, sha256_file
 from lightstage.formats.session import Session, load_session
+
+RESULT = "lightstage.calibration/1"
+"""Schema of the calibration.json that `calibrate` writes; shots have another."""
 
 KINDS = ("charuco", "mirror", "grey", "chart", "dark", "flat")
 
@@ -80,6 +83,15 @@ class Source:
         return list(found)
 
 
+def _is_result(path: Path) -> bool:
+    """Whether a calibration.json is the result of a calibration, whose folder may be in the lab."""
+    try:
+        value = read_json(path)
+    except FormatError:
+        return False
+    return isinstance(value, dict) and value.get("schema") == RESULT
+
+
 def read_source(root: Path, now: datetime.datetime | None = None) -> Source:
     """Find the photographs that a calibration is made from.
 
@@ -104,6 +116,8 @@ def read_source(root: Path, now: datetime.datetime | None = None) -> Source:
     newest: dict[str, Shots] = {}
     problems: list[LightstageError] = []
     for path in sorted(root.glob(f"*/{NAME}")):
+        if _is_result(path):
+            continue
         try:
             shots = read_shots(path.parent)
         except FormatError as error:

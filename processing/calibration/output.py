@@ -21,7 +21,7 @@ from processing.calibration.colour.chart import COLUMNS, ROWS
 from processing.calibration.colour.chart_reference import chart_reflectance
 from processing.calibration.colour.fit import ColourFit
 from processing.calibration.config import CalibrateConfig
-from processing.calibration.folder import Source
+from processing.calibration.folder import RESULT, Source
 from processing.calibration.stage import Calibration, calibrate
 from processing.colour import SCHEMA as COLOUR_SCHEMA
 from processing.colour import ColourCorrection, srgb_from_linear
@@ -30,7 +30,6 @@ from processing.records import versions
 
 SIDE, GAP = 96, 8
 """Side of a chart's patches in their picture, and the gap between them, pixels."""
-SCHEMA = "lightstage.calibration/1"
 NAME = "calibration.json"
 COLOUR, FLATS, LIGHTS = "colour.json", "flats.json", "lights.json"
 
@@ -46,7 +45,8 @@ def make_calibration(
         FormatError: `out` is something else (refused before anything is measured).
         ProcessingError: see `stage.calibrate`.
     """
-    with atomic_folder(out, NAME) as folder:
+    # A folder of calibration shots has a file of this name, too.
+    with atomic_folder(out, NAME, schema=RESULT) as folder:
         found = calibrate(source, config, progress)
         if found.flats:
             write_flats(found.flats, folder / FLATS, {"source": source.facts})
@@ -65,7 +65,7 @@ def make_calibration(
         write_json(
             folder / NAME,
             {
-                "schema": SCHEMA,
+                "schema": RESULT,
                 "source": source.facts,
                 "config": dataclasses.asdict(config),
                 "facts": found.facts,

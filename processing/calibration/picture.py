@@ -13,6 +13,7 @@ from lightstage.errors import FormatError
 from lightstage.exif import read_exif
 from lightstage.formats.orientation import UNTURNED, Orientation, of_libraw
 from lightstage.raw_errors import unreadable_raw
+from processing.raw.clip import CLIP_SHARE
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Mosaic:
         return np.asarray(self.clipped.reshape(height // 2, 2, width // 2, 2).any(axis=(1, 3)))
 
 
-def read_mosaic(path: Path, clip_share: float = 1.0) -> Mosaic:
+def read_mosaic(path: Path, clip_share: float = CLIP_SHARE) -> Mosaic:
     """Read a RAW's counts.
 
     Args:

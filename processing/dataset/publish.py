@@ -17,6 +17,7 @@ anew for each release, with a seed that is written nowhere.
 from __future__ import annotations
 
 import secrets
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -113,7 +114,9 @@ def publish(
                 progress(first + len(patches), len(order))
             blocks = {name: np.stack([patch[name] for patch in patches]) for name in CHANNELS}
             writer.write(first, blocks)
-        subjects = len({scan.subject for scan in store.scans})
+        # Of those who are shown: a store has people without a place, too.
+        shown_scans = [store.scans[k] for k in sorted({places[i].scan for i in order})]
+        subjects = len({scan.subject for scan in shown_scans})
         shown = statistics.facts() if subjects >= config.fewest_subjects else {}
         facts = {
             "schema": PUBLISHED_SCHEMA,
@@ -129,8 +132,8 @@ def publish(
             "counts": {"subjects": subjects, "patches": len(order)},
             "left_out_share": config.drop,
             "most_of_a_face": config.most_face,
-            "consent": _consent(store),
-            "people_by": _people_by(store),
+            "consent": _consent(shown_scans),
+            "people_by": _people_by(store, shown_scans),
             "statistics": shown,
             "cannot_protect": cannot_protect(config.gap),
         }
@@ -234,13 +237,13 @@ def _refuse_unasked(store: Store, unasked: list[Scan]) -> None:
     )
 
 
-def _people_by(store: Store) -> list[dict[str, Any]]:
+def _people_by(store: Store, scans: Sequence[Scan]) -> list[dict[str, Any]]:
     """People by age, sex and tone as far as the store knows it and it may be published."""
     entries: list[Entry] = []
     # A store of an earlier version does not record it.
     if all(scan.has_sums for scan in store.scans):
         entries = read_entries(store.path)
-    tables = people_tables(entries, (scan.subject for scan in store.scans))
+    tables = people_tables(entries, (scan.subject for scan in scans))
     return [
         {
             "what": table.what,
@@ -252,11 +255,11 @@ def _people_by(store: Store) -> list[dict[str, Any]]:
     ]
 
 
-def _consent(store: Store) -> dict[str, int | bool]:
+def _consent(scans: Sequence[Scan]) -> dict[str, int | bool]:
     """How many people are shown with a consent record, without, and how many are simulated."""
-    unasked = {s.subject for s in store.scans if not (s.consent or s.synthetic)}
-    simulated = {s.subject for s in store.scans if s.synthetic} - unasked
-    everybody = {s.subject for s in store.scans}
+    unasked = {s.subject for s in scans if not (s.consent or s.synthetic)}
+    simulated = {s.subject for s in scans if s.synthetic} - unasked
+    everybody = {s.subject for s in scans}
     return {
         "subjects_on_record": len(everybody - unasked - simulated),
         "subjects_simulated": len(simulated),

@@ -59,8 +59,10 @@ def preprocessing() -> str:
     """What was computed of the photographs."""
     return (
         "Of the photographs maps of reflectance, a mesh and one texture of the face were computed, "
-        f"by the software lightstage {__version__}. No texel was filled in by guessing: what was "
-        "not measured is 0."
+        f"by the software lightstage {__version__}. What no camera saw is 0. Texels that cameras "
+        "saw badly, at a grazing angle or beside an edge, were averaged with what is around them "
+        "and on the face's other side: by a half where they were seen a fiftieth as well as from "
+        "straight in front, and the less the better they were seen."
     )
 
 

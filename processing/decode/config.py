@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
+from processing.raw.clip import CLIP_SHARE
+
 
 @dataclasses.dataclass(frozen=True)
 class PrepareConfig:
@@ -29,7 +31,7 @@ class PrepareConfig:
 class DecodeConfig:
     """Settings of `decode`."""
 
-    clip_share: float = 0.99
+    clip_share: float = CLIP_SHARE
     """Counts of at least this share of the white level are clipped."""
     foreground_share: float = 0.03
     """Foreground is brighter than this share of the picture's 99th percentile."""

@@ -42,6 +42,13 @@ def samples_of(
     for name in (*ALBEDOS, *NORMALS):
         mine, theirs = found(name), true(name)
         if mine.size and theirs.size:
+            if mine.shape != theirs.shape:
+                raise EvaluationError(
+                    where,
+                    field=f"{field}, {name}",
+                    found=f"a map of {mine.shape}",
+                    expected=f"{theirs.shape}, as the truth has it",
+                )
             samples[name] = mine[scored].reshape(int(scored.sum()), -1).astype(float)
             samples[f"{name}/true"] = theirs[scored].reshape(int(scored.sum()), -1).astype(float)
     return samples

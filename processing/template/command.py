@@ -226,6 +226,10 @@ def transfer_command(
         transfer,
     )
 
+    if out.resolve() == maps.resolve():
+        raise ProcessingError(
+            "--out", found="the folder of the maps", expected="another one, as it is replaced whole"
+        )
     require_new(out, overwrite, MASK)
     register = pipeline_config.read_config(config).register
     settings = TransferConfig()

@@ -15,6 +15,7 @@ import numpy as np
 
 from lightstage.counting import counted
 from lightstage.errors import FormatError
+from lightstage.formats.npz import UNREADABLE_NPZ
 from lightstage.formats.values import open_regular
 
 LANDMARKS = "head_sparse_68.txt"
@@ -159,7 +160,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
                         expected="gnm_head.npz, as https://github.com/google/GNM has it",
                     )
                 return {name: file[name] for name in SHAPES}
-        except (zipfile.BadZipFile, ValueError, OSError, EOFError, KeyError) as error:
+        except UNREADABLE_NPZ as error:
             raise FormatError(
                 path, found=str(error)[:100], expected="an npz of arrays, such as gnm_head.npz"
             ) from None

@@ -64,6 +64,8 @@ def population_of(
     offsets = np.zeros((len(chosen), *fitted.shape))
     # Beside lips and nostrils, neighbours have places that are far apart on the other mesh.
     stiffness, areas = cotangent_laplacian(fitted, placed.triangles())
+    # A vertex of no triangle has no area, and stays where it is.
+    areas = np.maximum(areas, 1e-9 * areas.max())
     smoothed = splu((sp.diags(areas) + config.smooth_mm**2 * stiffness).tocsc())
     for index, mode in enumerate(chosen):
         moved, _ = carried_vertices(other.mesh, other.mesh.vertices + mode, placed, transfer)

@@ -17,11 +17,14 @@ def halved(image: np.ndarray, covered: np.ndarray) -> tuple[np.ndarray, np.ndarr
         image: (rows, columns, c) float32.
         covered: (rows, columns) bool.
     """
-    rows, columns = (max(1, size // 2) for size in covered.shape)
     if min(covered.shape) < 2:
         return image, covered
-    share = covered[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2)
-    parts = image[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2, -1)
+    # Of an odd size the last row or column stays: without it all others would move.
+    odd = [(0, size % 2) for size in covered.shape]
+    covered, image = np.pad(covered, odd), np.pad(image, [*odd, (0, 0)])
+    rows, columns = covered.shape[0] // 2, covered.shape[1] // 2
+    share = covered.reshape(rows, 2, columns, 2)
+    parts = image.reshape(rows, 2, columns, 2, -1)
     weight = share.sum(axis=(1, 3))
     total = (parts * share[..., None]).sum(axis=(1, 3))
     return (total / np.maximum(weight, 1)[..., None]).astype(np.float32), weight > 0
@@ -50,12 +53,15 @@ def sampled(
     out = np.zeros((len(uv), image.shape[2]), np.float32)
     there = np.zeros(len(uv), np.bool_)
     source, mask = np.ascontiguousarray(image, np.float32), np.ascontiguousarray(covered, np.bool_)
+    # Of the texture, in texels of each copy; a copy of odd sizes is larger by half a texel.
+    size = np.array(covered.shape, float)
     for each in range(int(level.max(initial=0)) + 1):
         some = np.flatnonzero(level == each)
         if len(some):
             values = np.zeros((len(some), image.shape[2]), np.float32)
             known = np.zeros(len(some), np.bool_)
-            _sample(source, mask, np.ascontiguousarray(uv[some], np.float64), values, known)
+            places = np.ascontiguousarray(uv[some], np.float64)
+            _sample(source, mask, size / 2**each, places, values, known)
             out[some], there[some] = values, known
         source, mask = halved(source, mask)
     return out, there
@@ -84,13 +90,18 @@ def nearest(
 
 @numba.njit(cache=True, parallel=True)
 def _sample(
-    image: np.ndarray, covered: np.ndarray, uv: np.ndarray, out: np.ndarray, there: np.ndarray
+    image: np.ndarray,
+    covered: np.ndarray,
+    size: np.ndarray,
+    uv: np.ndarray,
+    out: np.ndarray,
+    there: np.ndarray,
 ) -> None:
     rows, columns = covered.shape
     channels = image.shape[2]
     for n in numba.prange(len(uv)):
-        x = min(max(uv[n, 0] * columns - 0.5, 0.0), columns - 1.0)
-        y = min(max((1.0 - uv[n, 1]) * rows - 0.5, 0.0), rows - 1.0)
+        x = min(max(uv[n, 0] * size[1] - 0.5, 0.0), columns - 1.0)
+        y = min(max((1.0 - uv[n, 1]) * size[0] - 0.5, 0.0), rows - 1.0)
         left, top = int(np.floor(x)), int(np.floor(y))
         fx, fy = x - left, y - top
         whole = 1 <= left < columns - 2 and 1 <= top < rows - 2

@@ -33,6 +33,7 @@ MM_PER_UNIT = 1000.0
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES = 4
+COLOUR, ROUGHNESS = "baseColorTexture", "metallicRoughnessTexture"
 _HARMLESS = (
     "KHR_mesh_quantization",
     "KHR_materials_unlit",
@@ -55,7 +56,16 @@ def read_gltf(path: Path) -> ScanFile:
         SimError: not a glTF, damaged, without triangles, with NaN, with several colour textures,
             or with an extension that cannot be passed over.
     """
-    reader = _Reader(path)
+    try:
+        return _read(path, _Reader(path))
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        # Whatever stands where the format has something else.
+        raise SimError(
+            path, found=f"a damaged scene ({error!r})", expected="a glTF scene"
+        ) from None
+
+
+def _read(path: Path, reader: _Reader) -> ScanFile:
     parts = list(reader.primitives())
     if not parts:
         raise SimError(path, found="no triangles", expected="a mesh")
@@ -89,10 +99,11 @@ def read_gltf(path: Path) -> ScanFile:
         where=path,
         mesh=merged(everything, corners, flat, corners),
         mm_per_unit=MM_PER_UNIT,
-        colour=reader.picture(("pbrMetallicRoughness", "baseColorTexture")),
+        colour=reader.picture(("pbrMetallicRoughness", COLOUR)),
         colour_factor=reader.colour_factor(),
         normals=reader.picture(("normalTexture",)),
-        roughness=reader.picture(("pbrMetallicRoughness", "metallicRoughnessTexture")),
+        roughness=reader.picture(("pbrMetallicRoughness", ROUGHNESS)),
+        roughness_factor=reader.roughness_factor(),
     )
 
 
@@ -182,10 +193,7 @@ class _Reader:
             material = self.root["materials"][part["material"]]
             if material not in self.materials:
                 self.materials.append(material)
-        number = 0
-        for texture in self._textures(("pbrMetallicRoughness", "baseColorTexture")):
-            number = int(texture.get("texCoord", 0))
-        name = f"TEXCOORD_{number}"
+        name = f"TEXCOORD_{self._uv_set()}"
         if name not in attributes:
             return place, triangles, None
         uv = self._accessor(attributes[name]).astype(float)
@@ -237,6 +245,20 @@ class _Reader:
             raise SimError(beside, found="no such file", expected=f"a part of {self.path.name}")
         return beside.read_bytes()
 
+    def _uv_set(self) -> int:
+        """The number of the UV that all textures of the materials so far are laid out in."""
+        pbr = "pbrMetallicRoughness"
+        kinds: list[tuple[str, ...]] = [("normalTexture",), (pbr, COLOUR), (pbr, ROUGHNESS)]
+        numbers = {int(t.get("texCoord", 0)) for keys in kinds for t in self._textures(keys)}
+        if len(numbers) > 1:
+            raise self.wrong(
+                f"UV {', '.join(map(str, sorted(numbers)))}",
+                "one UV for all textures",
+                "Bake all textures into one UV.",
+                "texCoord",
+            )
+        return numbers.pop() if numbers else 0
+
     def _textures(self, keys: tuple[str, ...]) -> list[dict[str, Any]]:
         """The materials' texture references of one kind."""
         out = []
@@ -247,6 +269,15 @@ class _Reader:
             if value:
                 out.append(value)
         return out
+
+    def roughness_factor(self) -> float:
+        """Factor of the roughness texture, the same for all materials; 1 where there is none."""
+        key = "roughnessFactor"
+        pbr = [m.get("pbrMetallicRoughness", {}) for m in self.materials]
+        factors = {float(p.get(key, 1.0)) for p in pbr if ROUGHNESS in p} or {1.0}
+        if len(factors) > 1:
+            raise self.wrong(f"{len(factors)} different", "one", field=key)
+        return factors.pop()
 
     def colour_factor(self) -> tuple[float, float, float]:
         """Linear factor of the colour, the same for all materials."""
@@ -264,6 +295,11 @@ class _Reader:
         if any("KHR_texture_transform" in r.get("extensions", {}) for r in references):
             raise self.wrong(
                 "KHR_texture_transform", "plain UV", "Apply the transform to the UV.", keys[-1]
+            )
+        scales = {float(r.get("scale", 1.0)) for r in references} - {1.0}
+        if scales:
+            raise self.wrong(
+                f"a scale of {scales.pop():g}", "1", "Bake the scale into the map.", keys[-1]
             )
         try:
             used = {int(self.root["textures"][r["index"]]["source"]) for r in references}

@@ -130,7 +130,11 @@ def _from_file(path: Path, landmarks: np.ndarray) -> IctModel:
         raise SimError(
             path, field="expression_names", found=f"{len(names)}", expected=f"{len(expression)}"
         )
-    for field, values in (("neutral_vertices_cm", neutral), ("identity_modes_cm", identity)):
+    for field, values in (
+        ("neutral_vertices_cm", neutral),
+        ("identity_modes_cm", identity),
+        ("expression_modes_cm", expression),
+    ):
         if not np.isfinite(values).all():
             raise SimError(path, field=field, found="NaN or infinity", expected="finite cm")
     mesh = Mesh(neutral * MM_PER_UNIT, faces.astype(np.int32), uvs, face_uvs.astype(np.int32))

@@ -88,7 +88,8 @@ def scan_maps(
         made_up.append("roughness")
     else:
         # glTF: the facets' m is the square of the perceptual roughness.
-        roughness = resized(scan.roughness.pixels, rows, columns)[..., 1] ** 2
+        perceptual = resized(scan.roughness.pixels, rows, columns)[..., 1]
+        roughness = (scan.roughness_factor * perceptual) ** 2
         roughness = np.clip(roughness, *ROUGHNESS_RANGE).astype(np.float32)
     if scan.normals is not None:
         normal = world_normals(mesh, np.clip(resized(scan.normals.pixels, rows, columns), 0, 1))

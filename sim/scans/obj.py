@@ -80,7 +80,7 @@ def _read_mtl(path: Path) -> dict[str, dict[str, Path]]:
         if not words:
             continue
         if words[0] == "newmtl":
-            current = materials.setdefault(line.split(None, 1)[1].strip(), {})
+            current = materials.setdefault(" ".join(line.split(None, 1)[1:]).strip(), {})
         elif words[0].lower() in (_COLOUR, _NORMALS) and len(words) > 1:
             current[words[0].lower()] = path.parent / _file_name(words[1:])
     return materials

@@ -40,6 +40,7 @@ class ScanFile:
         colour_factor: linear, multiplies the colour.
         normals: tangent-space normals, or None.
         roughness: perceptual roughness in its green channel, as glTF defines it, or None.
+        roughness_factor: multiplies it.
     """
 
     where: Path
@@ -49,6 +50,7 @@ class ScanFile:
     colour_factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
     normals: Picture | None = None
     roughness: Picture | None = None
+    roughness_factor: float = 1.0
 
 
 def read_picture(path: Path) -> Picture:

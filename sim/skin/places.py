@@ -128,7 +128,6 @@ def place_masks() -> dict[str, np.ndarray]:
             np.maximum(at((0, -25, 100), (12, 16, 20)), 0.45 * at((20, 40, 85), (30, 18, 40))),
         ),
         "beard": beard,
-        "mouth_sides": at((27, -77, 84), (6, 7, 18)),
         "around_mouth": at((0, -76, 92), (24, 16, 30)) * (1 - lips),
         "oily": np.clip(nose + bridge + 0.9 * forehead + 0.55 * chin, 0, 1),
         "crow": at((57, -9, 62), (9, 10, 16)),

@@ -202,6 +202,21 @@ def test_a_camera_that_saw_too_few_boards_is_warned_of(true_rig: Rig, written: R
     assert "could not be checked" in warning[few]
 
 
+def test_a_board_that_is_seen_as_one_row_of_corners_stops_nothing(
+    true_rig: Rig, written: Rig
+) -> None:
+    sights = list(sights_of(true_rig, 12, 4))
+    corners_mm = BOARD.corners_mm()
+    row = np.flatnonzero(np.isclose(corners_mm[:, 1], corners_mm[0, 1]))
+    last = sights[-1]
+    held = np.isin(last.ids, row)
+    assert held.sum() >= 4
+    sights[-1] = dataclasses.replace(last, ids=last.ids[held], pixels=last.pixels[held])
+    found = measure_cameras(sights, written, BOARD, CONFIG)
+    degrees, _ = pose_errors(dataclasses.replace(written, cameras=found.cameras), true_rig)
+    assert degrees.max() < 0.5
+
+
 def test_a_few_corners_far_off_push_no_camera(true_rig: Rig, written: Rig) -> None:
     sights = []
     for number, sight in enumerate(sights_of(true_rig, 20, 2, 0.01)):
@@ -264,6 +279,11 @@ def test_the_command_writes_a_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert degrees.max() < 0.5
     assert shift.max() < 3
     assert read_json(tmp_path / "out" / "cameras.json", "lightstage.cameras/1")["facts"]
+    # A session's folder of calibrations has a cameras.json, too.
+    (tmp_path / "out" / "colour.json").write_text("{}")
+    again = CliRunner().invoke(app, arguments)
+    assert again.exit_code != 0
+    assert (tmp_path / "out" / "colour.json").read_text() == "{}"
 
 
 def test_the_board_is_that_of_the_shots_where_the_settings_do_not_say_otherwise(

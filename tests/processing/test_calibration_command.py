@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from lightstage.errors import ConfigError, FormatError
 from lightstage.formats.environment import stage_lights
+from lightstage.formats.files import write_json
 from lightstage.formats.lights import MeasuredLights
 from lightstage.formats.orientation import OF_TIFF
 from lightstage.formats.session import Calibration, Session, load_session, save_session
@@ -24,6 +25,7 @@ from processing.calibration.colour.chart import chart_places_mm, find_chart
 from processing.calibration.colour.white import white_at
 from processing.calibration.config import CalibrateConfig
 from processing.calibration.folder import read_source
+from processing.calibration.output import make_calibration
 from processing.calibration.picture import read_mosaic
 from processing.calibration.stage import calibrate, lights_of
 from processing.colour import read_colour
@@ -200,9 +202,20 @@ def test_the_newest_finished_shots_count(targets, tmp_path):
     value = json.loads((begun / "calibration.json").read_text())
     value |= {"created_utc": "2027-01-01T00:00:00+00:00", "finished_utc": None}
     (begun / "calibration.json").write_text(json.dumps(value))
+    # A result may be in the lab: it is no shots.
+    write_json(lab / "result" / "calibration.json", {"schema": "lightstage.calibration/1"})
     source = read_source(lab)
     assert {facts["folder"][-16:] for facts in source.facts.values()} == {"20260101T000000Z"}
     assert source.warnings == []
+
+
+def test_shots_are_never_replaced_by_a_result(targets, tmp_path):
+    lab = make_lab(targets, tmp_path / "LAB")
+    for out in sorted(lab.iterdir()):
+        before = sorted(out.rglob("*"))
+        with pytest.raises(FormatError, match=r"lightstage\.calibration-shots/1"):
+            make_calibration(read_source(lab), CalibrateConfig(), out)
+        assert sorted(out.rglob("*")) == before
 
 
 def test_photographs_that_are_not_those_that_were_taken_are_refused(targets, tmp_path):

@@ -20,7 +20,14 @@ from lightstage.formats.template import Template, save_template
 from processing.closest import ClosestPoints, sample_texture, weighted_quantile
 from processing.evaluation.config import AlbedoOf, EvaluateConfig
 from processing.evaluation.folder import evaluate
-from processing.evaluation.maps import angle_deg, map_errors, picture_errors, psnr_db
+from processing.evaluation.maps import (
+    MapReader,
+    angle_deg,
+    map_errors,
+    picture_errors,
+    psnr_db,
+    samples_of,
+)
 from processing.evaluation.texels import evaluate_maps, truth_in_atlas
 from processing.reconstruction.pictures import write_pictures
 
@@ -309,6 +316,20 @@ def test_pictures_of_another_session_are_refused(
     truth.write_mask("cam0", np.ones((10, 10), bool))
     with pytest.raises(LightstageError, match="another session"):
         run(out, truth)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_maps_of_another_shape_than_the_truths_are_refused(channels: int) -> None:
+    true = {"confidence": np.ones((6, 4)), "diffuse_albedo": np.full((6, 4, 3), 0.5)}
+    size = (6, 4) if channels == 1 else (12, 8, 3)
+    found = {**true, "diffuse_albedo": np.full(size, 0.5)}
+
+    def reader(maps: dict[str, np.ndarray]) -> MapReader:
+        return lambda name: maps.get(name, np.zeros(0))
+
+    skin = np.ones((6, 4), bool)
+    with pytest.raises(LightstageError, match="diffuse_albedo: found a map of"):
+        samples_of(reader(found), reader(true), skin, "here", "views")
 
 
 def test_another_template_is_refused(folders: tuple[ProcessedFolder, ProcessedFolder]) -> None:

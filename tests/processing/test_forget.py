@@ -80,6 +80,25 @@ def test_a_dry_run_lists_everything_and_changes_nothing(
     assert not (tmp_path / "office").exists()
 
 
+@pytest.mark.parametrize("what", ["session", "photograph"])
+def test_links_that_lead_out_are_refused_and_searched_where_they_lead_is_named(
+    lab: Path, tmp_path: Path, command: Callable[..., Any], what: str
+) -> None:
+    elsewhere = tmp_path / "other disk"
+    elsewhere.mkdir()
+    inside = lab / "S" / "s1"
+    there = inside if what == "session" else next(inside.rglob("*.exr"))
+    moved = Path(shutil.move(there, elsewhere / there.name))
+    there.symlink_to(moved)
+    ended = command(WHO, "--in", lab, "--out", tmp_path / "office", "--yes")
+    assert ended.code == 2
+    assert f"found a link to {moved}" in ended.err
+    assert moved.exists()
+    assert (lab / "P" / "p1").exists()
+    both = command(WHO, "--in", lab, "--in", elsewhere, "--out", tmp_path / "office")
+    assert both.code == 0, both.err
+
+
 def test_everything_of_a_person_goes_and_nothing_of_another(
     lab: Path, tmp_path: Path, command: Callable[..., Any]
 ) -> None:

@@ -24,6 +24,7 @@ from lightstage.formats.files import sha256_file
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
 from processing.bounds import BOUNDS
+from processing.calibration.cameras.config import CamerasFile
 from processing.calibration.config import CalibrateConfig
 from processing.errors import ProcessingError, RegistrationError
 from processing.frames.read import Frames, read_frames, write_frames
@@ -310,7 +311,7 @@ def test_settings_that_no_stage_can_work_with_are_refused_by_file_and_name(
 
 def test_the_defaults_are_possible_and_every_bound_is_of_a_setting() -> None:
     names = set()
-    for config in (PipelineConfig(), CalibrateConfig()):
+    for config in (PipelineConfig(), CalibrateConfig(), CamerasFile()):
         require_bounds(config, "defaults", BOUNDS)
         names |= dict(all_fields(config)).keys()
     assert BOUNDS.keys() <= names

@@ -156,6 +156,12 @@ def test_a_file_that_is_not_gnms_is_refused_by_name(folder, arrays, tmp_path, ru
     assert "quads" in changed(quads=None)
     assert "quad_uvs" in changed(quad_uvs=arrays["quad_uvs"][:-1])
     assert "indices below" in changed(quads=arrays["quads"] + 10**6)
+    packed = tmp_path / "packed.npz"
+    np.savez_compressed(packed, **arrays)
+    whole = packed.read_bytes()
+    for place in range(300, len(whole) - 300, len(whole) // 40):
+        packed.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
+        assert "packed.npz" in ended(packed, "--landmarks", folder[1])
     positions = arrays["template_vertex_positions"].copy()
     positions[3] = np.nan
     assert "NaN" in changed(template_vertex_positions=positions)

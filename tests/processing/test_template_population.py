@@ -83,6 +83,16 @@ def test_people_of_another_topology_keep_their_mean_and_their_modes(template: Te
         assert off.mean() < 0.15 * np.linalg.norm(mode, axis=1)[face].mean()
 
 
+def test_a_template_with_a_vertex_of_no_triangle_has_people(template: Template) -> None:
+    spare = np.array([[0.0, 500.0, 0.0]])
+    mesh = dataclasses.replace(
+        template.mesh, vertices=np.concatenate([template.mesh.vertices, spare])
+    )
+    with_spare = dataclasses.replace(template, mesh=mesh, modes=None)
+    _, facts = population_of(with_spare, other_model(template), PopulationConfig())
+    assert np.isfinite(facts["from_mesh_mm"])
+
+
 def test_a_model_without_modes_is_refused(template: Template) -> None:
     bare = dataclasses.replace(template, modes=None)
     with pytest.raises(ProcessingError, match="no identity modes"):

@@ -340,6 +340,18 @@ def test_a_smaller_copy_has_the_mean_of_what_is_covered():
     assert there.tolist() == [[True, False], [True, True]]
 
 
+@pytest.mark.parametrize("odd", [(33, 48), (32, 49), (35, 51)])
+def test_smaller_copies_of_odd_sizes_have_everything_where_it_was(odd):
+    row, column = np.mgrid[: odd[0], : odd[1]]
+    place = np.stack([(column + 0.5) / odd[1], 1 - (row + 0.5) / odd[0]], axis=2)
+    image, covered = place.astype(np.float32), np.ones(odd, bool)
+    uv = np.random.default_rng(0).uniform(0.3, 0.7, (50, 2))
+    for larger in (1.0, 2.0, 4.0):
+        found, there = sampled(image, covered, uv, np.full(50, larger), 3)
+        assert there.all()
+        np.testing.assert_allclose(found, uv, atol=1e-3)
+
+
 def test_finer_maps_do_not_alias_in_a_coarser_texture(pair, folders, tmp_path, run_command):
     one = pair[0]
     maps = tmp_path / "maps"
@@ -373,6 +385,8 @@ def test_wrong_input_is_one_message_and_nothing_is_left(maps, folders, tmp_path,
         "in the same place": (maps, ["--from-mesh", folders["one mesh"], "--to-mesh", metres]),
         "--from-mesh": (maps, ["--to-mesh", folders["two mesh"]]),
     }
+    ended = carried(run_command, maps, folders, maps, *meshes(folders), "--overwrite")
+    assert (ended.code, "--out: found the folder of the maps" in ended.err) == (2, True)
     wrong = {}
     for message, (folder, words) in cases.items():
         ended = carried(run_command, folder, folders, out, *words)

@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.errors import FormatError
 from lightstage.formats.board import BoardConfig
 from lightstage.formats.calibration_shots import NAME as SHOTS_NAME
 from lightstage.formats.cameras import NAME, SCHEMA
-from lightstage.formats.config import make_config
-from lightstage.formats.files import atomic_folder, write_json
+from lightstage.formats.config import make_config, require_bounds
+from lightstage.formats.files import atomic_folder, others_in, write_json
 from lightstage.rig import MEASURED_WITH, UNCHECKED, UNMEASURED, rig_sha256, save_rig
+from processing.bounds import BOUNDS
 from processing.calibration.cameras.boards import see_boards
 from processing.calibration.cameras.config import CamerasFile
 from processing.calibration.cameras.measured import MeasuredCameras, measure_cameras
@@ -31,7 +33,7 @@ def camera_settings(source: Source, values: Mapping[str, Any], where: str | Path
         where: the file's name, for errors.
 
     Raises:
-        ConfigError: an unknown key or a value of another type, in either.
+        ConfigError: an unknown key, a value of another type or out of its bounds, in either.
     """
     target = source.facts.get("charuco", {}).get("target", {})
     shots = source.root / str(source.facts.get("charuco", {}).get("folder", ""))
@@ -39,7 +41,9 @@ def camera_settings(source: Source, values: Mapping[str, Any], where: str | Path
     named = values.get("board", {})
     if isinstance(named, Mapping):
         values = {**values, "board": {**dataclasses.asdict(board), **named}}
-    return make_config(CamerasFile, values, where)
+    settings = make_config(CamerasFile, values, where)
+    require_bounds(settings, where, BOUNDS)
+    return settings
 
 
 def make_cameras(
@@ -70,7 +74,16 @@ def make_cameras(
             found=", ".join(unknown),
             expected=f"cameras of this rig: {', '.join(known)}",
         )
-    with atomic_folder(out, NAME) as folder:
+    others = others_in(out, [NAME, "rig.json"])
+    if others:
+        # A session's folder of calibrations has a file of this name, too.
+        raise FormatError(
+            out,
+            found=f"a folder that holds {others[0]}",
+            expected=f"a new folder, or one with rig.json and {NAME} alone",
+            hint="Choose another output folder.",
+        )
+    with atomic_folder(out, NAME, schema=SCHEMA) as folder:
         sights = see_boards(poses, config.board, progress)
         found = measure_cameras(sights, rig, config.board, config.cameras)
         more = {

@@ -148,7 +148,9 @@ def _settled(
         for name in list(cameras)[1:]:
             own = [s for s in sights if s.camera == name and s.shot in boards]
             guesses = [cameras[name]] + [
-                pose @ np.linalg.inv(boards[s.shot]) for s in own for pose in poses[name, s.shot]
+                pose @ np.linalg.inv(boards[s.shot])
+                for s in own
+                for pose in poses.get((name, s.shot), [])
             ]
             misses = [
                 [_missed_px(s, g @ boards[s.shot], corners_mm, lenses) for s in own]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from typing import Literal
 
+from processing.raw.clip import CLIP_SHARE
+
 
 @dataclasses.dataclass(frozen=True)
 class ChartConfig:
@@ -17,7 +19,7 @@ class ChartConfig:
     the stage's middle, which gives its size."""
     max_tilt_deg: float = 40.0
     """Charts that are turned farther from a camera are not read by it."""
-    clip_share: float = 0.99
+    clip_share: float = CLIP_SHARE
     """Counts of at least this share of the white level are clipped."""
 
 

@@ -117,6 +117,20 @@ def test_damaged_gltf_is_reported_by_file_and_field(egg, files, tmp_path):
         ),
     )
     refuse("baseColorTexture: found a damaged texture", lambda s: s["textures"].clear())
+    material = scene["materials"][0]
+    colour = material["pbrMetallicRoughness"]
+    for wrong in (
+        {"extensionsRequired": 3},
+        {"scenes": [[0]], "scene": 0},
+        {"materials": [{**material, "pbrMetallicRoughness": [1]}]},
+        {"materials": [{**material, "normalTexture": 3}]},
+        {"materials": [{"pbrMetallicRoughness": {**colour, "baseColorFactor": ["x", 1, 1]}}]},
+    ):
+        refuse("damaged", lambda s, wrong=wrong: s.update(wrong))
+    scaled = {**material, "normalTexture": {"index": 0, "scale": 0.3}}
+    refuse("normalTexture: found a scale of 0.3", lambda s: s.update(materials=[scaled]))
+    apart = {**material, "normalTexture": {"index": 0, "texCoord": 1}}
+    refuse("texCoord: found UV 0, 1", lambda s: s.update(materials=[apart]))
     (tmp_path / "apart.gltf").write_text(
         json.dumps({**scene, "buffers": [{"uri": "gone.bin", "byteLength": 4}]})
     )

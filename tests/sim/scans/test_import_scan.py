@@ -20,6 +20,7 @@ from sim.light.texture import raster_uv
 from sim.scans.checks import CheckConfig
 from sim.scans.lps import load_scan
 from sim.scans.match import carried, own_grid_uv
+from sim.scans.reading import read_scan
 from sim.scans.scan import WORLD_SHIFT_MM, ScanConfig, import_scan
 
 ROWS = 96
@@ -129,6 +130,11 @@ def test_a_normal_map_and_a_roughness_map_are_used(head, files, tmp_path):
     subject, report = import_scan(path, "head", config=COARSE)
     assert report.made_up == ("specular albedo", "translucency")
     np.testing.assert_allclose(subject.roughness, (128 / 255) ** 2, atol=1e-3)
+    material["pbrMetallicRoughness"]["roughnessFactor"] = 0.9
+    path.write_bytes(files["glb_bytes"](scene, data))
+    np.testing.assert_allclose(read_scan(path).roughness_factor, 0.9)
+    glossier, _ = import_scan(path, "head", config=COARSE)
+    np.testing.assert_allclose(glossier.roughness, (0.9 * 128 / 255) ** 2, atol=1e-3)
     # Tilted all the way along u, normals lie in the surface.
     face, weights = raster_uv(subject.mesh, ROWS, 64)
     normals = vertex_normals(subject.mesh.vertices, subject.mesh.triangles())
