@@ -40,6 +40,7 @@ from learning.whole.refine import (
     Refined,
     refine,
 )
+from learning.whole.specular_detail import specular_detail
 from learning.whole.texture_layout import FARTHEST_MM, apart_mm, brows_to_lips, known_of_both
 from lightstage.counting import counted
 from lightstage.formats.environment import LightSet
@@ -144,6 +145,8 @@ def infer_whole_face(
     else:
         diffuse = refined.diffuse_albedo
     specular = np.exp(enlarged(np.log(low_specular), rows, columns))
+    if refined is not None:
+        specular = specular * specular_detail(diffuse, covered)
     error = expected_error(output.deviation, (rows, columns))
     if refined is not None:
         error = expected_of_refined(error, diffuse, log_albedo, refined.known)
