@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from processing.reconstruction.carry import carried, disagreement, placed_over
+from processing.reconstruction.carry import _cosines, carried, disagreement, placed_over
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.grow import (
     CARRIED,
@@ -21,6 +21,7 @@ from processing.reconstruction.grow import (
 )
 from processing.reconstruction.slopes import plane_slopes
 from processing.reconstruction.views import Level, depth_to_points
+from tests.processing import textured_ball
 from tests.processing.test_reconstruction_relief import LENS, POSE, surface, turned
 
 PIXEL = 1 / LENS[0]
@@ -35,6 +36,26 @@ def bowl(tip_deg: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     sight = np.array([0, 0, 1000.0]) - points
     sight /= np.linalg.norm(sight, axis=2, keepdims=True)
     return -np.log(depth), slopes, np.einsum("hwk,hwk->hw", sight, normals).astype(np.float32)
+
+
+def test_points_of_a_depth_map_project_to_its_pixels_and_its_normals_meet_the_sight() -> None:
+    camera = textured_ball.cameras(3, factor=0.02)[2]
+    lens = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
+    pose = camera.cam_from_world
+    height, width = camera.height_px, camera.width_px
+    rng = np.random.default_rng(0)
+    inverse_depth = 1 / rng.uniform(900, 1100, (height, width))
+    points = depth_to_points(inverse_depth, lens, pose)
+    pixels, depth = camera.project(points.reshape(-1, 3))
+    row, column = np.mgrid[:height, :width] + 0.5
+    np.testing.assert_allclose(pixels, np.stack([column, row], 2).reshape(-1, 2), atol=1e-2)
+    np.testing.assert_allclose(depth, 1 / inverse_depth.ravel(), rtol=1e-5)
+    normals = rng.normal(size=(height, width, 3))
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    sight = camera.centre_mm - points
+    sight /= np.linalg.norm(sight, axis=2, keepdims=True)
+    found = _cosines(normals.astype(np.float32), lens, pose)
+    np.testing.assert_allclose(found, (normals * sight).sum(axis=2), atol=1e-4)
 
 
 def off_mm(found: np.ndarray, true: np.ndarray) -> np.ndarray:

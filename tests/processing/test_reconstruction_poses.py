@@ -6,7 +6,7 @@ import pytest
 from lightstage.rig import Camera
 from processing.errors import PoseError
 from processing.reconstruction.config import ReconstructConfig
-from processing.reconstruction.matches import match_features
+from processing.reconstruction.matches import _undistorted, match_features
 from processing.reconstruction.poses import (
     PairMatches,
     PoseReport,
@@ -46,6 +46,16 @@ def test_right_poses_pass_with_a_small_residual(
     assert min(report.matches) >= CONFIG.min_matches
     assert report.tracks > 100
     assert 10 < report.spread_mm < textured_ball.RADIUS_MM
+
+
+def test_places_in_a_bent_picture_become_those_of_a_straight_one() -> None:
+    straight = textured_ball.cameras(1, factor=0.07)[0]
+    bent = dataclasses.replace(straight, dist=(0.3, -0.1, 0.01, -0.02, 0.05))
+    points = np.random.default_rng(0).uniform(-90, 90, (200, 3))
+    seen, known = bent.project(points)[0], straight.project(points)[0]
+    assert np.abs(seen - known).max() > 0.5
+    np.testing.assert_allclose(_undistorted(seen, bent), known, atol=0.01)
+    np.testing.assert_array_equal(_undistorted(seen, straight), seen)
 
 
 def test_swapped_cameras_are_named(
