@@ -382,9 +382,11 @@ def test_the_peak_of_memory_is_of_the_block_that_is_measured() -> None:
         return float(facts["peak_rss_mb"])
 
     before_mb = resident_mb()
-    large, small = measured_mb(64), measured_mb(0)
+    large = measured_mb(64)
     assert large == pytest.approx(before_mb + 64, abs=8)
-    assert small == pytest.approx(before_mb, abs=8)
+    # Whether what was freed is given back to the system is the allocator's affair.
+    before_mb = resident_mb()
+    assert measured_mb(0) == pytest.approx(before_mb, abs=8)
 
 
 def resident_mb() -> float:
