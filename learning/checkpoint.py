@@ -12,6 +12,7 @@ The JSON is renamed into place last, so a run always has one whole checkpoint.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import importlib.metadata
 import os
@@ -59,9 +60,11 @@ class Checkpoint:
         texture_rows: of the maps trained on, which is the size of skin's detail for the network.
         code_version: of this package when it was saved.
         metrics: when it was saved.
-        step_seconds: what these steps took.
+        step_seconds: what these steps took, but for the first of each call, which compiles loops.
         files: role (generator, generators or network; average; training) to {name, sha256}.
         began_with: `files` of the run whose networks it began with; empty where these were random.
+        trained_on: SHA-256 of the scans that it, and those that it began with, were trained on;
+            empty where that was not recorded.
     """
 
     folder: Path
@@ -76,6 +79,7 @@ class Checkpoint:
     step_seconds: float
     files: dict[str, dict[str, str]]
     began_with: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
+    trained_on: tuple[str, ...] = ()
 
 
 def save_checkpoint(
@@ -100,7 +104,7 @@ def save_checkpoint(
     known = set(folder.glob("*.safetensors"))
     try:
         for role, named in tensors.items():
-            path = save_tensors(folder / f"{role}-{step:07d}.safetensors", named)
+            path = save_tensors(_free(folder, role, step), named)
             files[role] = {"name": path.name, "sha256": sha256_file(path)}
         value = {"schema": SCHEMA, "step": step, **about, "code_version": code_version()}
         write_json(index, {**value, "files": files})
@@ -115,6 +119,18 @@ def save_checkpoint(
     for path in (*old, *(path for name in (*names, INDEX) for path in leftovers(folder, name))):
         path.unlink()
     return index
+
+
+def _free(folder: Path, role: str, step: int) -> Path:
+    """A file's name that is not there: what the present index names stays until the next is there.
+
+    A step is saved twice where it is the last one: among the steps, and scored.
+    """
+    path, count = folder / f"{role}-{step:07d}.safetensors", 1
+    while path.exists():
+        count += 1
+        path = folder / f"{role}-{step:07d}-{count}.safetensors"
+    return path
 
 
 def save_tensors(path: Path, named: dict[str, Tensor]) -> Path:
@@ -168,6 +184,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
                 for role, f in value["files"].items()
             },
             dict(value.get("began_with", {})),
+            tuple(map(str, value.get("trained_on", ()))),
         )
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise CheckpointError(
@@ -383,6 +400,7 @@ def fill_adam(optimiser: torch.optim.Adam, tensors: dict[str, Tensor], prefix: s
     optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
 
 
+@functools.cache
 def code_version() -> str:
     """The project's version and a hash of this package's sources."""
     digest = hashlib.sha256()

@@ -24,6 +24,8 @@ class Clock:
         """Nothing is measured yet."""
         self.seconds: dict[str, float] = defaultdict(float)
         self._whole: dict[str, float] = defaultdict(float)
+        self.first_seconds = 0.0
+        """Of the first step, which compiles loops; 0 until the second one begins."""
         self._lock, self._own = threading.Lock(), threading.local()
 
     @contextlib.contextmanager

@@ -29,11 +29,30 @@ def patch_task(
     """Random patches; the people held out are scored at the end (see `learning.train.TRAINERS`)."""
     config = trainer.config
     rng, seed = np.random.default_rng([config.seed, 1]), config.seed
-    how = (config.data, config.lights, config.augment, rng, config.shading)
     data = PatchData(
-        store, trained_on, *how, clock=run.clock, draws=config.draws, seed=seed, shadows=run.shadows
+        store,
+        trained_on,
+        config.data,
+        config.lights,
+        config.augment,
+        rng,
+        config.shading,
+        clock=run.clock,
+        draws=config.draws,
+        seed=seed,
+        shadows=run.shadows,
     )
-    scored = PatchData(store, held_out, *how, seed=seed, shadows=run.shadows)
+    scored = PatchData(
+        store,
+        held_out,
+        config.data,
+        config.lights,
+        config.augment.as_they_are(),
+        rng,
+        config.shading,
+        seed=seed,
+        shadows=run.shadows,
+    )
 
     def finish() -> tuple[Score, list[Sample]]:
         answers = trainer.answers()

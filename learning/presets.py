@@ -100,6 +100,8 @@ def preset(name: str, overrides: dict[str, Any], where: str) -> TrainingConfig:
     for key, value in overrides.items():
         both = isinstance(value, dict) and isinstance(values.get(key), dict)
         values[key] = {**values[key], **value} if both else value
+    if "seconds" not in overrides and {"steps", "epochs"} & overrides.keys():
+        values["seconds"] = None  # the preset's own would count in their place
     config = make_config(FAMILIES[name], values, where)
     require_within(config, where)
     return config

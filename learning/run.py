@@ -125,7 +125,7 @@ class Run:
         about: the checkpoint's other fields.
         first: step to begin with.
         began: monotonic seconds.
-        spent: seconds of the steps of earlier calls.
+        spent: seconds of the steps of earlier calls, but for the first of each.
         processes: that train together; the first alone writes.
         events: of this call, as TensorBoard reads them.
         clock: of this call's steps. What makes batches and renders counts its own parts on it; what
@@ -259,6 +259,7 @@ class Run:
             if step == self.first:
                 # The first step compiles loops, for a minute on a busy machine.
                 began = time.monotonic()
+                self.clock.first_seconds = self.clock.step_seconds
             step += 1
             if seconds is None:
                 shown(step, total)
@@ -272,7 +273,7 @@ class Run:
     def _save(self, learner: Learner, steps: int, about: dict[str, Any]) -> Path:
         if not self.processes.first:
             return self.out / INDEX
-        spent = self.spent + self.clock.step_seconds
+        spent = self.spent + self.clock.step_seconds - self.clock.first_seconds
         about = {**about, "step_seconds": round(spent, 2)}
         tensors = learner.tensors()
         # A step whose loss is finite may still have infinite gradients.
@@ -374,6 +375,7 @@ def begin(
     """
     began, first, spent = time.monotonic(), 0, 0.0
     began_with = {} if other is None else other.files
+    known = set(() if other is None else other.trained_on)
     if resume:
         if not (out / INDEX).exists():
             raise CheckpointError(
@@ -386,7 +388,7 @@ def begin(
         require_same_run(checkpoint, config, store)
         load(checkpoint)
         first, spent = checkpoint.step, checkpoint.step_seconds
-        began_with = checkpoint.began_with
+        began_with, known = checkpoint.began_with, set(checkpoint.trained_on)
     elif processes.first or (out / INDEX).exists():
         require_new(out, "Resume it with --resume, or choose another --out.")
     about = {
@@ -396,6 +398,9 @@ def begin(
         "held_out": sorted(held_out),
         "texture_rows": config.rows_shown(store.scans[0].rows),
         "metrics": {},
+        "trained_on": sorted(
+            known | {scan.sha256 for scan in store.scans if scan.subject not in held_out}
+        ),
     }
     if began_with:
         about["began_with"] = began_with

@@ -68,7 +68,11 @@ def weights_of(
             hint="Begin with a run of the same family, or choose its --preset.",
         )
     known = sorted(held_out - set(other.held_out))
-    if known and other.data_fingerprint == store.fingerprint:
+    if other.data_fingerprint != store.fingerprint:
+        # Of another store some people may be the same.
+        scans = {scan.sha256: scan.subject for scan in store.scans if scan.subject in held_out}
+        known = sorted({scans[own] for own in other.trained_on if own in scans})
+    if known:
         raise CheckpointError(
             where,
             field="held_out",

@@ -110,7 +110,7 @@ def experiment_command(
     config = _config(request)
     experiment = _chosen(request, EXPERIMENTS[request.name](config))
     halves = halves_of(store, config)
-    experiment, notes = _possible(experiment, halves)
+    experiment, notes = _possible(experiment, len(halves.trained))
     require_consents(request.consents, "training", store.consents)
     device = choose_device(request.device)
     for variant in experiment.variants:
@@ -234,9 +234,8 @@ def _chosen(request: ExperimentRequest, experiment: Experiment) -> Experiment:
     return dataclasses.replace(experiment, variants=chosen)
 
 
-def _possible(experiment: Experiment, halves: Halves) -> tuple[Experiment, list[str]]:
-    """The experiment without settings that need more people than the store has, and notes."""
-    count = len(halves.trained)
+def _possible(experiment: Experiment, count: int) -> tuple[Experiment, list[str]]:
+    """The experiment without settings that need more than `count` people to train on, and notes."""
     whole = tuple(v for v in experiment.variants if v.people <= count)
     left_out = [v.title for v in experiment.variants if v.people > count]
     if not whole:
@@ -385,7 +384,8 @@ def _reported(request: ExperimentRequest) -> dict[str, Any]:
     runs = runs_folder(request.out)
     if not versions.get(runs) and any(versions.values()):
         runs = max(versions, key=versions.__getitem__)
-    facts = _write(request, runs, experiment, config, [])
+    experiment, notes = _possible(experiment, len(about["trained_on"]))
+    facts = _write(request, runs, experiment, config, notes)
     return {
         "finished": versions.get(runs, 0),
         "budgets": list(facts["budgets"]),

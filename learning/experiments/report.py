@@ -263,10 +263,11 @@ def _sentences(budget: str, settings: list[Setting]) -> list[str]:
         found, _, _ = paired(last.figures(REFLECTANCE), modern.figures(REFLECTANCE))
         where = "below" if found.mean < 0 else "above"
         sure = "" if found.distinguished else f", {NOT_DISTINGUISHED}"
-        sentences.append(
-            f"`modern` alone is {where} the last published step at {AT[budget]} by "
-            f"{SCALE * abs(found.mean):.1f}{sure}."
-        )
+        if math.isfinite(found.mean):  # not where they have no seed in common
+            sentences.append(
+                f"`modern` alone is {where} the last published step at {AT[budget]} by "
+                f"{SCALE * abs(found.mean):.1f}{sure}."
+            )
     for setting in settings:
         values, seeds, _ = table(setting.figures(REFLECTANCE))
         percent = over_seeds(values)

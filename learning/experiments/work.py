@@ -55,13 +55,15 @@ from learning.run import Run, TrainResult
 from learning.train import TRAINERS, train
 from learning.whole.infer import infer_whole_face
 from lightstage.formats.config import as_dict
-from lightstage.formats.files import read_json, write_json
+from lightstage.formats.files import read_json, without_nan, write_json
 from lightstage.formats.png import write_png
 from processing.colour import srgb_from_linear
 from processing.dataset import Store, open_store
 
 SCHEMA, FIGURES_SCHEMA = "lightstage.experiment.run/1", "lightstage.experiment.figures/1"
 ABOUT, FIGURES_FILE, TRAINING = "run.json", "figures.json", "training"
+TRAINED = "trained.json"
+"""In the training's folder once it has ended: its figures, for a run that stops while measured."""
 SHADOWS = "shadows"
 """Folder beside the runs: shadows that all of them share."""
 LEAST_SECONDS = 1e-3
@@ -206,8 +208,9 @@ def _run(order: Order) -> dict[str, Any]:
         if figures["state"] == DONE:
             figures |= _measured(order, store, held_out, device)
     figures["seconds"] = time.monotonic() - began
+    # Figures that are not finite are those of a run that diverged.
+    write_json(order.folder / FIGURES_FILE, without_nan(figures))
     _tidy(order)
-    write_json(order.folder / FIGURES_FILE, figures)
     return figures
 
 
@@ -269,6 +272,9 @@ def _trained(
 
     folder = order.folder / TRAINING
     resume = _can_resume(folder)
+    if resume and (folder / TRAINED).is_file():
+        # It was stopped while it was measured.
+        return dict(read_json(folder / TRAINED))
     if resume and config.seconds is not None:
         # A training counts its seconds anew in each call.
         left = config.seconds - read_checkpoint(folder).step_seconds
@@ -279,7 +285,7 @@ def _trained(
     # The first step compiles loops, which is no part of a training's time.
     some = len(ticks) > 1
     each = (ticks[-1] - ticks[0]) / (len(ticks) - 1) if some else result.step_seconds
-    return {
+    figures = {
         "steps": result.steps,
         "step_seconds": each * result.steps,
         "steps_a_second": 1 / each if each > 0 else None,
@@ -287,6 +293,8 @@ def _trained(
         "examples": result.examples,
         "score": dataclasses.asdict(result.score),
     }
+    write_json(folder / TRAINED, without_nan(figures))
+    return figures
 
 
 def _can_resume(training: Path) -> bool:

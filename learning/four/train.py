@@ -33,7 +33,7 @@ def config_of_part(config: FourTrainConfig, index: int) -> TrainConfig:
         if field.name != "seed"
     }
     # Networks of one size must not begin with the same weights.
-    return TrainConfig(**shared, seed=4 * config.seed + index, render_weight=0.0)
+    return TrainConfig(**shared, seed=(4 * config.seed + index) % 2**63, render_weight=0.0)
 
 
 class FourTrainer(Trainer[FourTrainConfig, Batch]):

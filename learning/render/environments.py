@@ -51,13 +51,22 @@ class TargetLight:
     camera_mm: tuple[float, float, float] = (0.0, 0.0, 1100.0)
 
     def environment(self, ambient_multiplies: bool = False) -> Environment:
-        """As a batch of one; see `random_environment` for `ambient_multiplies`."""
+        """As a batch of one; see `random_environment` for `ambient_multiplies`.
+
+        Where the ambient light multiplies, the lamps give a white diffuser that faces the camera
+        what both give it otherwise.
+        """
         places, around = np.array(self.position_mm), np.array(self.ambient_rgb)
         lights = LightSet("target", places, np.array(self.rgb), around)
         found = from_light_set(lights, np.array(self.camera_mm))
         if not ambient_multiplies:
             return found
-        return dataclasses.replace(found, ambient_rgb=torch.ones(1, 3))
+        toward = places / np.linalg.norm(places, axis=1, keepdims=True)
+        facing = np.array(self.camera_mm) / np.linalg.norm(self.camera_mm)
+        given = np.maximum(toward @ facing, 0) @ np.array(self.rgb)
+        more = np.divide(given + around, given, out=np.ones(3), where=given > 0)
+        rgb = found.rgb * torch.from_numpy(more).to(found.rgb)
+        return dataclasses.replace(found, rgb=rgb, ambient_rgb=torch.ones(1, 3))
 
 
 @dataclasses.dataclass(frozen=True)

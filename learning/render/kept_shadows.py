@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from learning.checkpoint import code_version
 from lightstage.formats.files import atomic_path
 from lightstage.formats.npz import UNREADABLE_NPZ
 
@@ -67,7 +68,10 @@ def shadows_of_scan(folder: Path | None, sha256: str, surface: str) -> KeptShado
         sha256: of the scan's files; empty for a scan that has none.
         surface: what is made from the scan, since the same scan is shrunk in several ways.
     """
-    return None if folder is None or not sha256 else KeptShadows(folder, f"{sha256} of {surface}")
+    if folder is None or not sha256:
+        return None
+    # Other code may bake others.
+    return KeptShadows(folder, f"{sha256} of {surface} by {code_version()}")
 
 
 def _read(path: Path, size: tuple[int, ...]) -> np.ndarray | None:

@@ -157,8 +157,8 @@ def fit_shares(network: WholeFaceNetwork, faces: Faces, config: WholeTrainConfig
 def measured_doubt(network: WholeFaceNetwork, faces: Faces, config: WholeTrainConfig) -> Tensor:
     """(modes, modes) mean square of the network's error along the modes, in people's deviations.
 
-    Over people trained on, in lights that they were not trained in. It is what refinement takes
-    the network's answer for.
+    Over people trained on, in lights of other strengths and colours than they were trained in, at
+    the same places. It is what refinement takes the network's answer for.
     """
     rng = np.random.default_rng([config.seed, 6])
     mean = network.mean_log_albedo.cpu()

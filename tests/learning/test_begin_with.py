@@ -68,7 +68,7 @@ def begun(store_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_whole_faces_keep_the_people_that_the_first_run_knew(
     begun: Path, people: list[ProcessedFolder], tmp_path: Path
 ) -> None:
-    others = open_store(build_store([p.root for p in people[:2]], tmp_path / "store"))
+    others = open_store(build_store([people[k].root for k in (0, 2)], tmp_path / "store"))
     still = dataclasses.replace(SHORT, learning_rate=1e-9, weight_decay=0.0, ema=0.0)
     out = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
@@ -87,7 +87,7 @@ def test_whole_faces_keep_the_people_that_the_first_run_knew(
 
 
 def test_networks_that_do_not_suit_are_refused_and_nothing_is_written(
-    begun: Path, store_path: Path, tmp_path: Path
+    begun: Path, store_path: Path, people: list[ProcessedFolder], tmp_path: Path
 ) -> None:
     store, out = open_store(store_path), tmp_path / "run"
 
@@ -103,6 +103,9 @@ def test_networks_that_do_not_suit_are_refused_and_nothing_is_written(
     faces = dataclasses.replace(SHORT.faces, held_out_subjects=2)
     known = str(refused(dataclasses.replace(SHORT, faces=faces)))
     assert "found 1 person that it was trained on (person-1)" in known
+    # Of another store with some of the same people, too.
+    store = open_store(build_store([p.root for p in people[:2]], tmp_path / "store"))
+    assert "found 1 person that it was trained on (person-1)" in str(refused(SHORT))
     with pytest.raises(Exception, match="no such file"):
         train(store, out, SHORT, begin_with=tmp_path / "none")
     assert not out.exists()

@@ -12,6 +12,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+import learning.checkpoint
 from learning.checkpoint import (
     INDEX,
     load_generator,
@@ -100,6 +101,34 @@ def test_a_save_that_is_killed_anywhere_leaves_one_whole_checkpoint(tmp_path: Pa
     left = {path.name for path in after[-1].iterdir()}
     files = read_checkpoint(after[-1]).files.values()
     assert left == {"checkpoint.json", *(entry["name"] for entry in files)}
+
+
+def test_a_step_that_is_saved_again_and_killed_leaves_the_first_of_both(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last step is saved among the steps, and again with its score and other weights."""
+
+    def save(value: float) -> None:
+        tensors = {role: {"w": torch.full((8, 8), value)} for role in ROLES}
+        save_checkpoint(tmp_path / "run", 7, tensors, ABOUT)
+
+    def held() -> set[float]:
+        found = read_checkpoint(tmp_path / "run")
+        return {float(load_tensors(found, role)["w"].mean()) for role in ROLES}
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    save(1.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(learning.checkpoint, "write_json", killed)
+        with pytest.raises(KeyboardInterrupt):
+            save(2.0)
+    assert held() == {1.0}
+    for value in (3.0, 4.0):
+        save(value)
+        assert held() == {value}
+        assert len(list((tmp_path / "run").glob("*.safetensors"))) == len(ROLES)
 
 
 def test_damaged_checkpoints_are_refused(run: Path) -> None:

@@ -190,12 +190,14 @@ def test_a_training_by_time_that_goes_on_does_not_begin_at_its_largest_rate_agai
     store, out = open_store(store_path), tmp_path / "run"
     begun = train(store, out, ToneConfig(log_steps=1, seconds=20.0))
     spent = read_checkpoint(out).step_seconds
-    assert spent == pytest.approx(begun.step_seconds, abs=0.01)
+    # The first step, which compiles loops, is no part of a budget.
+    assert begun.step_seconds - 1 < spent < begun.step_seconds
     # What is written on the way may be another: it changes no step.
     longer = ToneConfig(log_steps=2, seconds=10.0, save_seconds=7.0)
     found = train(store, out, longer, resume=True)
     assert found.first == begun.steps < found.steps
-    assert read_checkpoint(out).step_seconds == pytest.approx(spent + found.step_seconds, abs=0.02)
+    more = read_checkpoint(out).step_seconds - spent
+    assert found.step_seconds - 1 < more < found.step_seconds
     lines = [json.loads(text) for text in (out / "metrics.jsonl").read_text().splitlines()]
     resumed = [line for line in lines if line["step"] >= begun.steps and "learning_rate" in line]
     rates = [line["learning_rate"] for line in resumed]

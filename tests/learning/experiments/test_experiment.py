@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 import signal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -150,6 +152,44 @@ def test_a_run_that_is_stopped_goes_on_and_gives_the_same_figures(
     assert again["state"] == DONE
     assert again["steps"] == whole["steps"] == 4
     assert again["people"] == whole["people"]
+
+
+def test_a_run_that_is_stopped_while_it_is_measured_is_not_trained_again(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order = order_of(store_path, tmp_path)
+
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(work, "_measured", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            one_run(order)
+    trained = json.loads((order.folder / "training" / "trained.json").read_text())
+    monkeypatch.setattr(work, "train", stopped)
+    again = one_run(order)
+    assert again["state"] == DONE
+    assert {name: again[name] for name in trained} == trained
+    assert again["steps_a_second"] > 0
+
+
+def test_figures_that_are_not_finite_are_those_of_a_run_that_diverged(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measure = work.measure
+
+    def wrong(*given: Any) -> Any:
+        found = measure(*given)
+        return [dataclasses.replace(f, figures=dict.fromkeys(f.figures, math.nan)) for f in found]
+
+    monkeypatch.setattr(work, "measure", wrong)
+    order = order_of(store_path, tmp_path)
+    assert one_run(order)["state"] == DIVERGED
+    assert order.finished
+    kept = json.loads((order.folder / "figures.json").read_text())
+    assert kept["state"] == DIVERGED
+    assert not (order.folder / "training").exists()
 
 
 def test_a_training_whose_files_are_gone_begins_again(
