@@ -108,9 +108,9 @@ def read_lights(path: Path) -> LightSet:
         entries = value["lights"]
         lights = LightSet(
             str(value.get("name", path.stem)),
-            np.array([e["position_mm"] for e in entries], float).reshape(-1, 3),
-            np.array([e["rgb"] for e in entries], float).reshape(-1, 3),
-            np.array(value.get("ambient_rgb", [0, 0, 0]), float).reshape(3),
+            _threes([e["position_mm"] for e in entries], "position_mm"),
+            _threes([e["rgb"] for e in entries], "rgb"),
+            _threes([value.get("ambient_rgb", [0, 0, 0])], "ambient_rgb")[0],
         )
     except KeyError as error:
         raise FormatError(
@@ -135,9 +135,21 @@ def read_lights(path: Path) -> LightSet:
     return dataclasses.replace(lights, camera_mm=_camera(value["camera_mm"], path))
 
 
-def _camera(value: Any, path: Path) -> np.ndarray:
+def _is_three(value: Any) -> bool:
     plain = isinstance(value, list) and len(value) == 3
-    if not plain or not all(type(c) in (int, float) and abs(c) <= MOST for c in value):
+    return plain and all(type(c) in (int, float) for c in value)
+
+
+def _threes(values: list[Any], name: str) -> np.ndarray:
+    """(n, 3) of n lists of three numbers; ValueError where one is something else."""
+    for index, value in enumerate(values):
+        if not _is_three(value):
+            raise ValueError(f"{name} {repr(value)[:60]} of entry {index}")
+    return np.array(values, float).reshape(-1, 3)
+
+
+def _camera(value: Any, path: Path) -> np.ndarray:
+    if not _is_three(value) or not all(abs(c) <= MOST for c in value):
         raise FormatError(
             path, field="camera_mm", found=repr(value)[:60], expected="three numbers, mm"
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import OpenEXR
@@ -16,6 +16,8 @@ from lightstage.failures import free_bytes
 from lightstage.formats.files import atomic_path
 
 MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
+MOST_PIXELS = 2**28
+"""Of a picture around a file's window: a damaged header states any."""
 OTHER_LAYOUT = 0x1A
 """Bits of the version's second byte: tiles, deep pixels, several parts [OpenEXR24]."""
 BLOCK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256)
@@ -150,6 +152,7 @@ def _stored(path: Path) -> np.ndarray:
         )
     try:
         with OpenEXR.File(str(path)) as file:
+            windows = [file.header().get(name) for name in ("dataWindow", "displayWindow")]
             channels = file.channels()
             names = sorted(channels)
             pixels = {name: channels[name].pixels for name in names}
@@ -160,11 +163,39 @@ def _stored(path: Path) -> np.ndarray:
             expected="a whole OpenEXR file",
             hint="Is the file truncated? Copy or render it again.",
         ) from None
+    if {"RY", "BY"} & set(names):
+        raise FormatError(
+            path,
+            found="luminance and chroma (Y RY BY)",
+            expected="R G B or Y",
+            hint="Export it again as RGB.",
+        )
     key = "RGB" if "RGB" in pixels else "RGBA" if "RGBA" in pixels else "Y"
     if key not in pixels:
         raise FormatError(path, found=f"channels {names}", expected="R G B or Y")
     found: np.ndarray = pixels[key]
-    return found[:, :, :3] if found.ndim == 3 else found
+    return _displayed(found[:, :, :3] if found.ndim == 3 else found, windows)
+
+
+def _displayed(pixels: np.ndarray, windows: list[Any]) -> np.ndarray:
+    """The whole picture of which a file holds a window: black around it, nothing beyond.
+
+    A window of the picture's own size is the picture, wherever it is said to be.
+    """
+    if any(window is None for window in windows):
+        return pixels
+    (left, top), (right, bottom) = (np.asarray(corner, int) for corner in windows[0])
+    (first_x, first_y), (last_x, last_y) = (np.asarray(corner, int) for corner in windows[1])
+    rows, columns = last_y - first_y + 1, last_x - first_x + 1
+    if (rows, columns) == pixels.shape[:2] or not 0 < rows * columns <= MOST_PIXELS:
+        return pixels
+    out = np.zeros((rows, columns, *pixels.shape[2:]), pixels.dtype)
+    y0, x0 = max(top, first_y), max(left, first_x)
+    y1, x1 = min(bottom, last_y) + 1, min(right, last_x) + 1
+    if y1 > y0 and x1 > x0:
+        part = pixels[y0 - top : y1 - top, x0 - left : x1 - left]
+        out[y0 - first_y : y1 - first_y, x0 - first_x : x1 - first_x] = part
+    return out
 
 
 def _is_cut(path: Path) -> bool:

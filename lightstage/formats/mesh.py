@@ -145,6 +145,8 @@ def parse_obj(lines: list[str], path: Path) -> Mesh:
     return mesh
 
 
+PLY_HEADER_BYTES = 1 << 16
+MOST_INDEX = 2**31 - 1
 NUMBER, INDEX = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", r"\d{1,9}"
 """Patterns of `numbers_of`."""
 
@@ -249,7 +251,10 @@ def _numbers(words: list[str], count: int) -> list[float]:
 
 
 def _index(word: str, count: int) -> int:
+    """From 0 on; OBJ counts from 1, or back from the last one so far. ValueError for none."""
     value = int(word)
+    if value == 0 or value < -count or value > MOST_INDEX:
+        raise ValueError(f"an index of {word}, after {count}")
     return value - 1 if value > 0 else count + value
 
 
@@ -279,7 +284,8 @@ def _check(mesh: Mesh, path: Path) -> None:
             )
         if mesh.uvs is not None and not np.isfinite(mesh.uvs).all():
             raise FormatError(path, field="uv", found="NaN or infinity", expected="finite UV")
-        if mesh.uvs is None or mesh.face_uvs.max() >= len(mesh.uvs):
+        lowest = mesh.face_uvs[:, :3].min()
+        if mesh.uvs is None or lowest < 0 or mesh.face_uvs.max() >= len(mesh.uvs):
             raise FormatError(path, field="uv", found="an index of no vt", expected="a mesh")
 
 
@@ -313,8 +319,27 @@ def read_ply(path: Path) -> Mesh:
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
         found = open3d.io.read_triangle_mesh(str(path))
     mesh = Mesh(np.asarray(found.vertices, float), np.asarray(found.triangles, np.int32))
+    # Open3D returns what it read before the file ended. A polygon is several triangles.
+    for element, read in (("vertex", len(mesh.vertices)), ("face", len(mesh.faces))):
+        stated = _stated(path, element)
+        if read < stated:
+            raise FormatError(
+                path,
+                field=f"element {element}",
+                found=f"{read} that can be read",
+                expected=f"{stated}, as its header states",
+                hint="Was the file cut short? Copy or export it again.",
+            )
     _check(mesh, path)
     return mesh
+
+
+def _stated(path: Path, element: str) -> int:
+    """How many of an element a PLY's header states; 0 where it states none."""
+    with path.open("rb") as file:
+        header = file.read(PLY_HEADER_BYTES).partition(b"end_header")[0]
+    found = re.search(rf"^element {element} (\d+)\s*$".encode(), header, re.MULTILINE)
+    return 0 if found is None else int(found[1])
 
 
 def write_ply(mesh: Mesh, path: Path) -> Path:

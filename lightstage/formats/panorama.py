@@ -15,6 +15,7 @@ from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr
 
 SUFFIXES = (".exr", ".hdr")
+HEADER_BYTES = 1 << 16
 MOST_TEXELS = 2**26
 
 
@@ -83,4 +84,25 @@ def _read_hdr(path: Path) -> np.ndarray:
             expected="a whole Radiance HDR picture (RGBE)",
             hint="A light set is .json; a picture of light is .hdr or .exr, latitude-longitude.",
         )
-    return np.asarray(read)[:, :, ::-1]
+    return np.asarray(read)[:, :, ::-1] / _exposure(path)
+
+
+def _exposure(path: Path) -> np.ndarray:
+    """(3,) float32 by which a Radiance picture's values were multiplied, by its header's lines."""
+    with path.open("rb") as file:
+        header = file.read(HEADER_BYTES).partition(b"\n\n")[0]
+    factor = np.ones(3)
+    for line in header.splitlines():
+        name, _, value = line.partition(b"=")
+        if name.strip() not in (b"EXPOSURE", b"COLORCORR"):
+            continue
+        try:
+            numbers = np.array([float(word) for word in value.split()])
+            factor = factor * numbers.reshape(1 if name.strip() == b"EXPOSURE" else 3)
+        except ValueError:
+            factor = np.zeros(3)
+    if not (np.isfinite(factor).all() and (factor > 0).all()):
+        raise FormatError(
+            path, field="EXPOSURE, COLORCORR", found="no such numbers", expected="one, and three"
+        )
+    return factor.astype(np.float32)

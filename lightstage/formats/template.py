@@ -214,6 +214,8 @@ def _load_modes(path: Path, count: int) -> Modes | None:
             raise FormatError(
                 path, field=name, found=f"shape {modes.shape}", expected=f"(k, {count}, 3)"
             )
+        if not np.isfinite(modes).all():
+            raise FormatError(path, field=name, found="NaN or infinity", expected="finite mm")
     if len(names) != len(expression):
         raise FormatError(
             path, field="expression_names", found=str(len(names)), expected=str(len(expression))

@@ -16,6 +16,8 @@ from lightstage.formats.paths import check_name, path_inside
 from lightstage.rig import Camera
 
 SCHEMA = "lightstage.flats/1"
+LEAST_SHARE = 0.02
+"""Of a lens's light at any place of its picture: less is no vignetting."""
 UNUSABLE = (*UNREADABLE_NPZ, TypeError, OverflowError, AttributeError)
 """What an entry of another form, or a file of gains that is none, ends in."""
 
@@ -174,4 +176,12 @@ def _field(entry: dict[str, Any], path: Path) -> FlatField:
         even = tuple(side // 2 * 2 for side in size[::-1])
         if own.shape not in (size[::-1], even) or not (np.isfinite(own) & (own > 0)).all():
             raise ValueError("gain")
-    return FlatField(size, centre, radius, radial, own, offset, hot)
+    field = FlatField(size, centre, radius, radial, own, offset, hot)
+    corners = np.array([[x, y] for x in (0, size[0]) for y in (0, size[1])], float)
+    # Along the way from the centre to each corner: a polynomial may be low between.
+    along = centre + np.linspace(0, 1, 33)[:, None, None] * (corners - centre)
+    with np.errstate(over="ignore", invalid="ignore"):
+        lit = field.share(along.reshape(-1, 2)) > LEAST_SHARE  # false for NaN
+    if not lit.all():
+        raise ValueError("no light in the picture")
+    return field

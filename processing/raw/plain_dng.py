@@ -28,7 +28,7 @@ _PLAIN: dict[int, tuple[int, ...]] = {
 }
 _PLAIN |= {PATTERN_SIZE: (2, 2)}
 """Tags and the one value that each must have."""
-_IF_PRESENT: dict[int, tuple[int, ...]] = {284: (1,), PLANES: (0, 1, 2), LAYOUT: (1,)}
+_IF_PRESENT: dict[int, tuple[int, ...]] = {284: (1,), 339: (1,), PLANES: (0, 1, 2), LAYOUT: (1,)}
 _DNG = {50706, 50707, 50708, PLANES, LAYOUT, BLACK_REPEATS, BLACK, WHITE, NEUTRAL}
 _DNG |= {50721, 50722, 50723, 50724, 50727, 50730, 50731, 50732, 50734, 50735, 50778, 50779}
 _DNG |= {50781, 50931, 50932, 50933, 50936, 50964, 50965}

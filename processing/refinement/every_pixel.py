@@ -225,7 +225,10 @@ def solve_exactly(
     sight = view.sight
     # Where the grid has no pixel nearby the mesh's own gloss and normals are all there is.
     roughness, specular = gloss_of(scene, sight)
-    columns, near = enlarged(of_grid, knows.view.sight, sight)
+    # Where the grid was not solved, as at clipped pixels, light that wanders in the skin is not
+    # known, which is not none.
+    known = np.einsum("nk,nk->n", of_grid[:, :3], of_grid[:, :3]) > 0.5
+    columns, near = enlarged(of_grid, known, knows.view.sight, sight)
     roughness[near], specular[near] = columns[near, 3:5].T
     length = np.linalg.norm(columns[:, :3], axis=1, keepdims=True)
     begin = np.where(length > 0.5, columns[:, :3] / np.maximum(length, 0.5), sight.normals)
@@ -274,14 +277,22 @@ def finish_given(
     return given
 
 
-def enlarged(values: np.ndarray, grid: Sight, view: Sight) -> tuple[np.ndarray, np.ndarray]:
+def enlarged(
+    values: np.ndarray, known: np.ndarray, grid: Sight, view: Sight
+) -> tuple[np.ndarray, np.ndarray]:
     """Values (m, k) of a grid's pixels at n pixels of the whole view, linearly between them.
 
+    Args:
+        values: of the grid's pixels.
+        known: (m,) bool, those that have values.
+        grid: its pixels.
+        view: all pixels.
+
     Returns:
-        (n, k), and (n,) bool whether the grid has a pixel near by.
+        (n, k), and (n,) bool whether the grid has a value near by.
     """
     number = np.full(grid.mask.shape, -1, np.int32)
-    number[grid.mask] = np.arange(len(values))
+    number[grid.mask] = np.where(known, np.arange(len(values)), -1)
     rows, columns = np.nonzero(view.mask)
     flat = np.ascontiguousarray(values, np.float32)
     found, near = np.zeros((len(rows), flat.shape[1]), np.float32), np.zeros(len(rows), bool)

@@ -62,7 +62,7 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
     usable = pixels.valid & (np.abs(rgb) < BRIGHTEST).all(axis=(1, 2))
     rgb[~usable] = 0
     usable &= (rgb.sum(axis=1) > 0).all(axis=1)
-    usable &= rgb.max(axis=1).mean(axis=1) > config.dark_level / 3
+    usable &= rgb.max(axis=1).mean(axis=1) > config.dark_level
     rgb[~usable] = 0
     channels = [lights.channel(c) for c in range(3)]
     far = np.array([far_field(each) for each in channels], order="C")  # (3, cells, P, 3)

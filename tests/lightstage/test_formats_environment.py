@@ -87,6 +87,10 @@ def test_a_light_set_survives_its_file(tmp_path):
         ([{"position_mm": [0, 0, 900]}], "found no rgb, expected both"),
         ([{"position": [0, 0, 900], "rgb": [1, 1, 1]}], "found no position_mm, expected both"),
         ([{"position_mm": [0, 900], "rgb": [1, 1, 1]}], "position_mm and rgb"),
+        ([{"position_mm": [[0, 0, 9], [9, 0, 9]], "rgb": [1, 1, 1]}], "of entry 0"),
+        ([{"position_mm": [0, 0, 9] * 2, "rgb": [1, 1, 1] * 2}], "of entry 0"),
+        ([{"position_mm": ["1", "2", "300"], "rgb": [1, 1, 1]}], "of entry 0"),
+        ([{"position_mm": [0, 0, 900], "rgb": [True, 1, 1]}], "rgb .* of entry 0"),
     ],
 )
 def test_a_malformed_light_set_is_refused(tmp_path, lights, message):

@@ -117,6 +117,30 @@ def test_files_of_other_programs_are_read_whole_and_refused_cut(tmp_path, kind, 
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_window_of_a_picture_is_where_the_picture_has_it(tmp_path):
+    whole = np.zeros((64, 128, 3), np.float32)
+    whole[16:48, 32:96] = np.random.default_rng(0).uniform(0, 1, (32, 64, 3))
+    wide = np.pad(whole, ((4, 4), (6, 6), (0, 0)), constant_values=7.0)  # beyond the picture
+    display = (np.array([0, 0], np.int32), np.array([127, 63], np.int32))
+    for pixels, first in ((whole[16:48, 32:96], (32, 16)), (wide, (-6, -4))):
+        last = (first[0] + pixels.shape[1] - 1, first[1] + pixels.shape[0] - 1)
+        window = (np.array(first, np.int32), np.array(last, np.int32))
+        header = {"type": OpenEXR.scanlineimage, "dataWindow": window, "displayWindow": display}
+        path = tmp_path / "window.exr"
+        with OpenEXR.File(header, {"RGB": np.ascontiguousarray(pixels)}) as file:
+            file.write(str(path))
+        np.testing.assert_array_equal(read_exr(path), whole)
+
+
+def test_luminance_and_chroma_are_refused(tmp_path):
+    path = tmp_path / "yc.exr"
+    grey = np.ones((8, 8), np.float32)
+    with OpenEXR.File({"type": OpenEXR.scanlineimage}, {"Y": grey, "RY": grey, "BY": grey}) as file:
+        file.write(str(path))
+    with pytest.raises(FormatError, match="luminance and chroma"):
+        read_exr(path)
+
+
 @given(st.integers(0, 400), st.integers(0, 255))
 def test_a_damaged_header_is_read_or_refused(tmp_path_factory, place, byte):
     path = write_exr(tmp_path_factory.mktemp("exr") / "a.exr", np.ones((40, 6, 3)))

@@ -23,7 +23,7 @@ from lightstage.formats.mesh import (
     write_obj,
     write_ply,
 )
-from lightstage.formats.template import default_template_path
+from lightstage.formats.template import default_template_path, load_template
 
 MIXED = """# a quad and a triangle
 mtllib x.mtl
@@ -91,7 +91,7 @@ def test_a_ply_mesh_survives_its_file(tmp_path):
         ("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "2 coordinates instead of 3"),
         (MIXED.replace("vt 1 1", "vt 1 nan"), "uv: found NaN"),
         (MIXED + "f 1 2 9\n", "an index of no vertex"),
-        (MIXED + "f 1 2 -9\n", "an index of no vertex"),
+        (MIXED + "f 1 2 -9\n", "an index of -9, after 6"),
         (MIXED + "f 1 2 3\n", "2 of 3 faces with UV"),
         (MIXED + "f 1/9 2/1 3/1\n", "an index of no vt"),
         (MIXED + "f 1 2 3 4 5\n", "line 16: found a face of 5 corners"),
@@ -147,6 +147,32 @@ def test_degenerate_triangles_have_no_normal_and_no_nan():
     points = np.array([[0, 0, 0], [1, 1, 1], [2, 2, 2], [5, 5, 5.0]])
     normals = vertex_normals(points, np.array([[0, 1, 2], [3, 3, 3]]))
     assert (normals == 0).all()
+
+
+@pytest.mark.parametrize("share", [0.5, 0.8, 0.99])
+def test_a_ply_that_is_cut_short_is_refused_and_not_read_in_part(tmp_path, share):
+    mesh = load_template(default_template_path()).mesh
+    path = write_ply(Mesh(mesh.vertices, mesh.triangles()), tmp_path / "head.ply")
+    assert len(read_ply(path).faces) == len(mesh.triangles())
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(FormatError, match=r"head\.ply.*as its header states"):
+        read_ply(path)
+
+
+@pytest.mark.parametrize(
+    "face",
+    ["1/-9 2/2 3/3", "1 2 3 -5", "0 1 2", "1/0 2/1 3/2", "1 2 99999999999", "1/-999999 2/2 3/3"],
+)
+def test_an_index_of_nothing_is_refused_however_it_is_written(tmp_path, face):
+    path = tmp_path / "wrong.obj"
+    places = "".join(f"v {k} {k % 2} {k // 2}\nvt 0.{k} 0.5\n" for k in range(1, 5))
+    path.write_text(f"{places}f {face}\n")
+    with pytest.raises(FormatError, match=r"wrong\.obj"):
+        read_obj(path)
+    path.write_text(f"f {face}\n{places}")
+    with pytest.raises(FormatError, match=r"wrong\.obj"):
+        read_obj(path)
 
 
 def test_an_obj_is_not_written_under_another_suffix(tmp_path):

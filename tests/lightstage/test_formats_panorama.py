@@ -25,6 +25,25 @@ def test_a_radiance_picture_is_the_same_light_as_an_exr(tmp_path, light):
     np.testing.assert_allclose(hdr, light, atol=light.max() / 128)
 
 
+def test_an_exposure_in_the_header_is_undone_and_a_wrong_one_refused(tmp_path, light):
+    path = tmp_path / "room.hdr"
+    cv2.imwrite(str(path), np.ascontiguousarray(light[..., ::-1]))
+    plain, data = read_panorama(path), path.read_bytes()
+
+    def with_line(line: bytes) -> np.ndarray:
+        first, _, rest = data.partition(b"\n")
+        path.write_bytes(first + b"\n" + line + b"\n" + rest)
+        return read_panorama(path)
+
+    np.testing.assert_allclose(with_line(b"EXPOSURE=8.0"), plain / 8, rtol=1e-6)
+    np.testing.assert_allclose(with_line(b"EXPOSURE= 2\nEXPOSURE=4"), plain / 8, rtol=1e-6)
+    corrected = with_line(b"COLORCORR= 1 2 4")
+    np.testing.assert_allclose(corrected, plain / np.array([1, 2, 4]), rtol=1e-6)
+    for wrong in (b"EXPOSURE=0", b"EXPOSURE=bright", b"COLORCORR=1 2"):
+        with pytest.raises(FormatError, match="EXPOSURE, COLORCORR"):
+            with_line(wrong)
+
+
 def test_a_head_is_lit_by_either_alike(tmp_path, light):
     write_exr(tmp_path / "a.exr", light, half=False)
     cv2.imwrite(str(tmp_path / "a.hdr"), light[:, :, ::-1])

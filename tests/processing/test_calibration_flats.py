@@ -164,6 +164,8 @@ def test_gains_of_another_size_are_named_and_not_laid_over_a_corner(tmp_path, sh
     [
         {"radial": [0.1, 0.2]},
         {"radial": [0.1, None, 0]},
+        {"radial": [-1.2, 0, 0]},
+        {"radial": [-4.0, 4.0, 0]},
         {"radius_px": 0},
         {"hot_pixels": [[HEIGHT, 0]]},
         {"black_offset": [1, 2, 3]},

@@ -259,7 +259,7 @@ def test_a_grids_linear_field_is_the_same_in_the_whole_view(
     rows, columns = np.nonzero(grid.mask)
     values = step * np.stack([rows, columns], axis=1) @ slope
     view = sight_of(whole, 1)
-    found, near = enlarged(values, grid, view)
+    found, near = enlarged(values, np.ones(len(values), bool), grid, view)
     assert near.all()
     rows, columns = np.nonzero(whole)
     # Beyond the grid's last row and column there is nothing to go on to.
@@ -269,12 +269,23 @@ def test_a_grids_linear_field_is_the_same_in_the_whole_view(
     np.testing.assert_allclose(found, known, atol=1e-4 * (1 + np.abs(known).max()))
 
 
+def test_pixels_of_a_grid_without_a_value_are_left_out_and_do_not_count_as_zero() -> None:
+    rng = np.random.default_rng(0)
+    whole = np.ones((32, 32), bool)
+    grid, view = sight_of(whole[::4, ::4], 4), sight_of(whole, 1)
+    known = rng.random(64) > 0.3
+    found, near = enlarged(np.where(known, 5.0, 0.0)[:, None], known, grid, view)
+    assert 0.8 < near.mean() < 1
+    np.testing.assert_allclose(found[near], 5.0, rtol=1e-5)
+    assert not found[~near].any()
+
+
 def test_where_the_grid_has_no_pixel_nearby_that_is_reported() -> None:
     mask = np.zeros((8, 8), bool)
     mask[:4] = True
     grid = sight_of(mask, 4)
     view = sight_of(np.ones((32, 32), bool), 1)
-    found, near = enlarged(np.full((32, 2), 7.0), grid, view)
+    found, near = enlarged(np.full((32, 2), 7.0), np.ones(32, bool), grid, view)
     near = near.reshape(32, 32)
     assert near[:15].all()
     assert not near[16:].any()
