@@ -60,7 +60,7 @@ def test_the_demo_runs_end_to_end_on_a_tiny_rig(
 ) -> None:
     monkeypatch.setattr("demo.run.run_measured", in_this_process)
     at = Layout(tmp_path / "demo")
-    config = tiny_config(tmp_path / "rig.json")
+    config = tiny_config()
     assert run(config, at.root) == 0
     session_is_whole(at)
     maps_are_near_the_truth(at)
@@ -132,10 +132,12 @@ def report_shows_everything(at: Layout) -> None:
         assert name in names
     assert all(s["seconds"] > 0 and s["peak_mb"] > 10 for s in figures["steps"])
     assert all(np.isfinite(row["value"]) for row in figures["errors"])
-    relative = {name: errors["relative_rmse"] for name, errors in figures["relit"].items()}
-    bounds = {"key": 0.06, "split": 0.08, "rim": 0.185}
-    assert {name: error < bounds[name] for name, error in relative.items()} == dict.fromkeys(
-        bounds, True
+    # As it is seen: of the rim light, a few pixels that graze the crown are many times white, and
+    # by which of them processors differ.
+    psnr_db = {name: errors["srgb_psnr_db"] for name, errors in figures["relit"].items()}
+    bounds_db = {"key": 34.0, "split": 33.0, "rim": 29.0}
+    assert {name: found > bounds_db[name] for name, found in psnr_db.items()} == dict.fromkeys(
+        bounds_db, True
     )
     assert (at.root / "readme.jpg").stat().st_size < 300_000
     assert read_exr(at.inferred / "diffuse_albedo.exr", finite=True).shape == (384, 256, 3)

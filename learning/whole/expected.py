@@ -9,9 +9,9 @@ from learning.maps import from_batch, to_batch
 from learning.whole.detail import enlarged
 
 MARGIN = 1.3
-"""Times the sum of squares the error is larger, where all kinds of heads count alike: on twelve
-simulated people under ten lights it is .8 times the root of that sum, on twelve of ICT's 1.2 times,
-on a scanned head 2.4 times. None of these people is in a benchmark."""
+"""Factor of the root of the sum of squares, by which all kinds of heads count alike: errors are .8
+times that root on twelve simulated people under ten lights, 1.2 times on twelve of ICT's, 2.4 times
+on a scanned head. Of these people the scanned head alone is in a benchmark."""
 GAP_ERROR = 0.02
 """Expected beside it where the texture did not show the skin."""
 
