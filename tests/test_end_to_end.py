@@ -132,8 +132,8 @@ def report_shows_everything(at: Layout) -> None:
         assert name in names
     assert all(s["seconds"] > 0 and s["peak_mb"] > 10 for s in figures["steps"])
     assert all(np.isfinite(row["value"]) for row in figures["errors"])
-    # As it is seen: of the rim light, a few pixels that graze the crown are many times white, and
-    # by which of them processors differ.
+    # As it is seen: under the rim light a few pixels that graze the crown are many times white, and
+    # decide a linear error, which was .24 on one machine and below .185 on others.
     psnr_db = {name: errors["srgb_psnr_db"] for name, errors in figures["relit"].items()}
     bounds_db = {"key": 34.0, "split": 33.0, "rim": 29.0}
     assert {name: found > bounds_db[name] for name, found in psnr_db.items()} == dict.fromkeys(

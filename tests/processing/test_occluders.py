@@ -169,7 +169,7 @@ def test_a_collar_of_any_colour_is_found_and_is_no_part_of_the_skins_mesh(
         assert there[found.faces].all(axis=1).sum() > 500, name
         away = nearest.distance_mm[there]
         assert np.median(away) < 1.5, name
-        # 4.5 to 6.2 on processors of two makers.
+        # It was 6.1 on one machine and below 6 on others: last bits decide single points.
         assert np.percentile(away, 90) < 8, name
         assert ((skin.distance_mm < 1) & (third[skin.face] == number)).mean() < 0.006, name
 
