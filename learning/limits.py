@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from learning.domain.config import DomainConfig
 from learning.networks.generator import GeneratorConfig
 from learning.networks.whole_face import WholeFaceConfig
 from learning.photo.config import FitConfig
@@ -24,7 +25,7 @@ from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config, read_toml
 
-ConfigT = TypeVar("ConfigT")
+ConfigT = TypeVar("ConfigT", FitConfig, DomainConfig)
 _POSITIVE, _ANY = 1e-30, 1e12
 LIMITS: dict[str, tuple[float, float]] = {
     "generator.width": (2, 1024),
@@ -225,7 +226,7 @@ def configured(
     _require_named(config, where, table)
     for field, (option, value) in options.items():
         if value is not None:
-            config = dataclasses.replace(config, **{field: value})  # type: ignore[type-var]
+            config = dataclasses.replace(config, **{field: value})
             _require_named(config, option, table, field)
     return config
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
 
+from learning.augment import AugmentConfig
 from learning.data import Batch, PatchData
 from learning.encoding import Reflectance
 from learning.four.train import FourTrainer
@@ -29,30 +31,13 @@ def patch_task(
     """Random patches; the people held out are scored at the end (see `learning.train.TRAINERS`)."""
     config = trainer.config
     rng, seed = np.random.default_rng([config.seed, 1]), config.seed
-    data = PatchData(
-        store,
-        trained_on,
-        config.data,
-        config.lights,
-        config.augment,
-        rng,
-        config.shading,
-        clock=run.clock,
-        draws=config.draws,
-        seed=seed,
-        shadows=run.shadows,
-    )
-    scored = PatchData(
-        store,
-        held_out,
-        config.data,
-        config.lights,
-        config.augment.as_they_are(),
-        rng,
-        config.shading,
-        seed=seed,
-        shadows=run.shadows,
-    )
+
+    def patches(people: set[str], augment: AugmentConfig, **more: Any) -> PatchData:
+        how = (config.data, config.lights, augment, rng, config.shading)
+        return PatchData(store, people, *how, seed=seed, shadows=run.shadows, **more)
+
+    data = patches(trained_on, config.augment, clock=run.clock, draws=config.draws)
+    scored = patches(held_out, config.augment.as_they_are())
 
     def finish() -> tuple[Score, list[Sample]]:
         answers = trainer.answers()

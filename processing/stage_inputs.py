@@ -138,7 +138,7 @@ def _files(session: Session, stage: str, config: Any) -> list[str | None]:
     return []
 
 
-def _missing(session: Session) -> list[str | None]:
+def _missing(session: Session) -> list[str]:
     """Photographs that session.json lists and that are not there."""
     frames = session.file.frames
     return [f"no {f.path}" for f in frames if not session.frame_path(f).is_file()]

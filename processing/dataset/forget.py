@@ -19,13 +19,14 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.errors import FormatError, LightstageError, one_error
+from lightstage.errors import FormatError
 from lightstage.formats.files import read_json, sha256_file, write_json
 from lightstage.formats.lock import locked
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.values import read_lines
 from processing.dataset.changes import BESIDE, remove_scans
 from processing.dataset.contents import RELEASES, now_utc, scans_of_fingerprint
+from processing.dataset.links import require_no_links_out
 from processing.dataset.scan import DatasetError, scan_digest
 from processing.dataset.store import DATASET, PUBLISHED, SCANS, STORE
 from processing.errors import ProcessingError
@@ -126,7 +127,7 @@ def survey(
     for folder in folders:
         if not folder.is_dir():
             raise DatasetError(folder, field="--in", found="no such folder", expected="a folder")
-    _require_no_links_out(folders)
+    require_no_links_out(folders)
     found = Found()
     others: list[Path] = []
     processed: list[Path] = []
@@ -163,33 +164,6 @@ def survey(
     _leave_common(processed, found)
     _copies(others, found)
     return found
-
-
-def _require_no_links_out(folders: Sequence[Path]) -> None:
-    """Refuse links that lead out of the folders: what they lead to would neither go nor be found.
-
-    Raises:
-        DatasetError: one for each of them, in one message.
-    """
-    roots = [folder.resolve() for folder in folders]
-    problems: list[LightstageError] = []
-    for folder in roots:
-        for root, below, names in os.walk(folder):
-            for path in (Path(root) / name for name in sorted([*below, *names])):
-                if not path.is_symlink() or not path.exists():
-                    continue
-                there = path.resolve()
-                if not any(there.is_relative_to(each) for each in roots):
-                    problems.append(
-                        DatasetError(
-                            path,
-                            found=f"a link to {there}",
-                            expected="links within the folders that are searched alone",
-                            hint=f"Search there as well: --in {there}.",
-                        )
-                    )
-    if problems:
-        raise one_error(problems)
 
 
 def _walked(folders: Sequence[Path]) -> Iterator[tuple[Path, list[str]]]:
