@@ -19,7 +19,7 @@ from lightstage.errors import FormatError, LightstageError, PatternError, one_er
 from lightstage.findings import Finding
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import fsync_path, sha256_file
-from lightstage.formats.landmarks import LANDMARKS, read_points_px, write_points_px
+from lightstage.formats.landmarks import LANDMARKS, read_clicked, write_points_px
 from lightstage.imported_light import Exposures, developed_findings
 from lightstage.opening import Opened, open_photograph
 from lightstage.patterns import SEQUENCES, drive_levels, pattern_levels
@@ -223,11 +223,12 @@ def import_session(
     if consent is not None:
         check_consent(consent)
     require_new(out)
-    marks = None if landmarks is None else read_points_px(landmarks)
+    marks = None if landmarks is None else read_clicked(landmarks, rig)
     found = find_photographs(folder, rig, one_light=one_light)
     total = sum(len(files) for files in found.values())
     levels = {p: drive_levels(p, rig, "on-off", emitters=emitters) for p in found if emitters}
-    beside = out.with_name(f".{out.name}.{secrets.token_hex(4)}")
+    place = out.resolve()  # of a link to an empty folder, the folder
+    beside = place.with_name(f".{place.name}.{secrets.token_hex(4)}")
     try:
         plan = SessionPlan(tuple(found), subject, expression, consent=consent)
         own = calibration or Carried()
@@ -246,8 +247,8 @@ def import_session(
             writer.close()
         if marks is not None:
             write_points_px(marks, beside / LANDMARKS)
-        os.replace(beside, out)
-        fsync_path(out.parent)
+        os.replace(beside, place)
+        fsync_path(place.parent)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     return Imported(total, tuple(more))

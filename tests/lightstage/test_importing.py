@@ -11,6 +11,7 @@ import pytest
 from lightstage.checks import check_session
 from lightstage.errors import CaptureError, FormatError
 from lightstage.formats.exr import write_exr
+from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.session import load_session
 from lightstage.importing import find_photographs, import_session, named_cameras
 from lightstage.patterns import pattern_levels
@@ -128,6 +129,24 @@ def test_a_damaged_photograph_leaves_nothing_behind(folder, tmp_path, small_rig,
     with pytest.raises(FormatError, match=r"x\+/cam1.exr"):
         import_session(folder, small_rig, tmp_path / "S", "p1", "neutral")
     assert sorted(os.listdir(tmp_path)) == before
+
+
+def test_landmarks_of_another_camera_are_refused_before_they_are_kept(folder, tmp_path, small_rig):
+    marks = write_points_px({"cam9": np.zeros((68, 2))}, tmp_path / "landmarks.json")
+    with pytest.raises(FormatError, match="cam9, expected cameras of rig"):
+        import_session(folder, small_rig, tmp_path / "S", "p1", "smile", landmarks=marks)
+    import_session(folder, small_rig, tmp_path / "S", "p1", "smile")
+    (tmp_path / "S" / "landmarks.json").write_bytes(marks.read_bytes())
+    with pytest.raises(FormatError, match="cam9, expected cameras of rig"):
+        check_session(tmp_path / "S")
+
+
+def test_a_link_to_an_empty_folder_holds_the_session(folder, tmp_path, small_rig):
+    (tmp_path / "disk" / "S").mkdir(parents=True)
+    (tmp_path / "S").symlink_to(tmp_path / "disk" / "S")
+    import_session(folder, small_rig, tmp_path / "S", "p1", "smile")
+    assert load_session(tmp_path / "disk" / "S").file.subject == "p1"
+    assert os.listdir(tmp_path / "disk") == ["S"]
 
 
 def test_an_existing_folder_is_never_touched(folder, tmp_path, small_rig):
