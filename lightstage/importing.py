@@ -16,8 +16,9 @@ import numpy as np
 from lightstage.cameras.camera import CardFile
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, LightstageError, PatternError, one_error
+from lightstage.exif import read_exif
 from lightstage.findings import Finding
-from lightstage.formats.exr import write_exr
+from lightstage.formats.exr import private_attributes, write_exr
 from lightstage.formats.files import fsync_path, sha256_file
 from lightstage.formats.landmarks import LANDMARKS, read_clicked, write_points_px
 from lightstage.imported_light import Exposures, developed_findings
@@ -213,8 +214,8 @@ def import_session(
         How many photographs, and what should be known of them.
 
     Raises:
-        FormatError: every photograph that cannot be opened (`opening`) or has not its camera's
-            size, in one message.
+        FormatError: every photograph that cannot be opened (`opening`), has not its camera's size,
+            or has a field that may name a person or a place, in one message.
         CaptureError: `out` holds something.
         PatternError: a colour of no light, or a single light of another colour.
     """
@@ -271,6 +272,7 @@ def _keep_all(
             try:
                 opened = open_photograph(path)
                 _require_size(path, opened, rig, camera)
+                _require_nameless(path, opened)
                 first = encodings.setdefault(camera, (opened.encoding, path))
                 if first[0] != opened.encoding:
                     raise FormatError(
@@ -298,6 +300,26 @@ def _keep_all(
     if problems:
         raise one_error(problems)
     return developed_findings(exposures)
+
+
+def _require_nameless(path: Path, opened: Opened) -> None:
+    """Refuse a photograph that would bring the name of a person or a place into the session.
+
+    Developed pictures are written anew, without any such field.
+    """
+    if opened.encoding == "raw":
+        private = read_exif(path).private
+    else:
+        private = () if opened.developed is not None else private_attributes(path)
+    if private:
+        raise FormatError(
+            path,
+            field="headers",
+            found=f"{', '.join(private)}, not empty",
+            expected="nothing that may name a person or a place",
+            hint="Clear these fields in a copy, as ExifTool does for RAW (exiftool -Artist= "
+            "-Copyright= -gps:all= FILE), and import the copy.",
+        )
 
 
 def _require_size(path: Path, opened: Opened, rig: Rig, camera_id: str) -> None:

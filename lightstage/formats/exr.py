@@ -23,6 +23,8 @@ OTHER_LAYOUT = 0x1A
 BLOCK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256)
 """Lines of one block, by the header's number of the compression [OpenEXR24]."""
 LONGEST_NAME = 255
+PRIVATE = ("owner", "comments", "latitude", "longitude")
+"""Standard attributes that may name a person or a place [OpenEXR24]."""
 MOST_SHOWN = 100
 """Characters of the parts' names that a message repeats."""
 FULL_BYTES = 2**20
@@ -224,6 +226,15 @@ def _picture(
             return pixels, windows
     names = sorted({name for _, channels, _ in parts for name in channels})
     raise FormatError(path, found=f"channels {names}", expected="R G B or Y")
+
+
+def private_attributes(path: Path) -> tuple[str, ...]:
+    """Names of the attributes of a readable OpenEXR file that may reveal who or where."""
+    with OpenEXR.File(str(path), header_only=True) as file:  # which empties them at its end
+        headers = [dict(part.header) for part in file.parts]
+    return tuple(
+        name for name in PRIVATE if any(header.get(name) not in (None, "") for header in headers)
+    )
 
 
 def _displayed(pixels: np.ndarray, windows: list[Any]) -> np.ndarray:

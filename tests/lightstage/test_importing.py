@@ -6,6 +6,7 @@ import os
 import stat
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from lightstage.checks import check_session
@@ -84,6 +85,24 @@ def test_a_session_is_refused_with_what_to_do_and_its_photographs_alone_are_take
     assert (
         import_session(tmp_path / "S" / "frames", small_rig, tmp_path / "T", "p1", "a").frames == 9
     )
+
+
+def test_photographs_that_name_a_person_or_a_place_are_refused(folder, tmp_path, small_rig, dng):
+    camera = small_rig.cameras[0]
+    rig = dataclasses.replace(small_rig, cameras=(camera,))
+    header = {"type": OpenEXR.scanlineimage, "owner": "A. Person", "latitude": 51.5}
+    path = tmp_path / "one" / "full" / f"{camera.id}.exr"
+    path.parent.mkdir(parents=True)
+    with OpenEXR.File(header, {"RGB": np.ones((48, 32, 3), np.float32)}) as file:
+        file.write(str(path))
+    with pytest.raises(FormatError, match="headers: found owner, latitude, not empty"):
+        import_session(tmp_path / "one", rig, tmp_path / "S", "p1", "neutral")
+    path.with_suffix(".dng").write_bytes(dng(1000, tags=[(315, 2, 0, "A. Person", True)]))
+    path.unlink()
+    with pytest.raises(FormatError, match="headers: found Artist, not empty") as caught:
+        import_session(tmp_path / "one", rig, tmp_path / "S", "p1", "neutral")
+    assert "Person" not in str(caught.value)
+    assert not (tmp_path / "S").exists()
 
 
 def test_photographs_in_a_folder_frames_import_too(folder, tmp_path, small_rig):
