@@ -15,7 +15,7 @@ from lightstage.faces.weights import require_weights
 from lightstage.formats.files import write_json
 from lightstage.formats.landmarks import LANDMARKS, read_clicked
 from lightstage.formats.mesh import Mesh, read_ply, vertex_normals, write_obj
-from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.processed import HEAD_SCHEMA, ProcessedFolder
 from lightstage.formats.session import Session
 from lightstage.formats.template import Template
 from processing.colour import srgb_from_linear
@@ -90,7 +90,7 @@ def register(
     write_json(
         folder.head_pose,
         {
-            "schema": "lightstage.head/1",
+            "schema": HEAD_SCHEMA,
             "template": template.name,
             "head_from_world": head_from_world.matrix().tolist(),
         },
