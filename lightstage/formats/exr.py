@@ -14,6 +14,7 @@ from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.failures import free_bytes
 from lightstage.formats.files import atomic_path
+from lightstage.formats.paths import require_utf8
 
 MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
 MOST_PIXELS = 2**28
@@ -144,6 +145,7 @@ def _stored(path: Path) -> np.ndarray:
     """The channels R G B or Y as the file has them."""
     if not path.is_file():
         raise FormatError(path, found="no such file", expected="an OpenEXR picture")
+    require_utf8(path)
     with path.open("rb") as handle:
         begins = handle.read(len(MAGIC))
     if begins != MAGIC:

@@ -15,6 +15,7 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.session import load_session
 from lightstage.importing import find_photographs, import_session, named_cameras
+from lightstage.opening import open_photograph
 from lightstage.patterns import pattern_levels
 from lightstage.rig import save_rig
 from tests.programs import run_program
@@ -119,6 +120,17 @@ def test_raw_photographs_are_named_by_their_bytes(tmp_path, small_rig, dng):
     import_session(tmp_path / "in", small_rig, tmp_path / "S", "p1", "neutral")
     names = sorted(os.listdir(tmp_path / "S" / "frames" / "full"))
     assert names == ["cam0.dng", "cam1.dng", "cam2.dng"]
+
+
+def test_a_path_that_is_not_utf8_is_named_as_such(tmp_path, dng):
+    folder = tmp_path / os.fsdecode(b"\xff")
+    write_exr(tmp_path / "a.exr", np.ones((48, 32, 3)))
+    (tmp_path / "a.dng").write_bytes(dng(1000))
+    folder.mkdir()
+    for name in ("a.exr", "a.dng"):
+        os.rename(tmp_path / name, folder / name)
+        with pytest.raises(FormatError, match="found a path that is not UTF-8"):
+            open_photograph(folder / name)
 
 
 def test_every_misnamed_or_missing_photograph_is_reported_at_once(folder, small_rig):
