@@ -42,6 +42,9 @@ NAMES = {
     40093: "XPAuthor",
 }
 """Fields of a picture's directory that may name a person."""
+MAKERS_WORDS = frozenset({"DIGITAL", "STILL", "CAMERA", "DSC"})
+"""What an ImageDescription holds beside the maker's name where a camera writes its own into every
+file, as Olympus and Sony do: OLYMPUS DIGITAL CAMERA, SONY DSC. It cannot be cleared."""
 GPS_FIELDS = (2, 4, 6, 20, 22, 27, 28)
 """Latitude, longitude, altitude, those of the destination, method and area; not the version."""
 XMP_NAMES = {
@@ -251,7 +254,7 @@ def _private(parts: list[Directory]) -> Iterator[str]:
     for part in parts:
         if part.kind == "picture":
             for tag, name in NAMES.items():
-                if _has_text(part.tags.get(tag)):
+                if _has_text(part.tags.get(tag)) and not _is_makers_own(part, tag):
                     yield name
         if part.kind == "exif":
             if _has_text(part.tags.get(OWNER)):
@@ -272,6 +275,12 @@ def _private(parts: list[Directory]) -> Iterator[str]:
 
 def _has_text(value: object) -> bool:
     return any(c not in b" \0\t\r\n" for c in _bytes(value))
+
+
+def _is_makers_own(part: Directory, tag: int) -> bool:
+    """Whether a field is the description that a maker writes into every photograph."""
+    words, makers = (set(part.text(each).upper().split()) for each in (tag, MAKE))
+    return NAMES[tag] == "ImageDescription" and words <= makers | MAKERS_WORDS
 
 
 def _is_placed(value: object) -> bool:

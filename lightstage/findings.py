@@ -53,11 +53,22 @@ def accepted_in_words(patterns: int, findings: int) -> str:
     return f"{counted(patterns, 'pattern')} {by} {counted(findings, 'finding')}"
 
 
-def two_digits(value: float) -> str:
-    """A number of two significant digits in plain figures, from 100 on all of its whole ones."""
+MOST_DIGITS = 6
+
+
+def two_digits(value: float, limit: float | None = None) -> str:
+    """A number of two significant digits in plain figures, from 100 on all of its whole ones.
+
+    Args:
+        value: the number.
+        limit: what it misses: it has more digits where two would make it this.
+    """
     if not math.isfinite(value):
         return str(value)
     if abs(value) >= 100:
         return f"{value:.0f}"
-    text = f"{float(f'{value:.2g}'):.9f}".rstrip("0").rstrip(".")
+    digits = 2
+    while limit is not None and digits < MOST_DIGITS and float(f"{value:.{digits}g}") == limit:
+        digits += 1
+    text = f"{float(f'{value:.{digits}g}'):.9f}".rstrip("0").rstrip(".")
     return "0" if text in ("", "-0") else text

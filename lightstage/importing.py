@@ -16,10 +16,11 @@ import numpy as np
 from lightstage.cameras.camera import CardFile
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, LightstageError, PatternError, one_error
+from lightstage.exif import read_exif
 from lightstage.findings import Finding
-from lightstage.formats.exr import write_exr
+from lightstage.formats.exr import private_attributes, write_exr
 from lightstage.formats.files import fsync_path, sha256_file
-from lightstage.formats.landmarks import LANDMARKS, read_points_px, write_points_px
+from lightstage.formats.landmarks import LANDMARKS, read_clicked, write_points_px
 from lightstage.imported_light import Exposures, developed_findings
 from lightstage.opening import Opened, open_photograph
 from lightstage.patterns import SEQUENCES, drive_levels, pattern_levels
@@ -213,8 +214,8 @@ def import_session(
         How many photographs, and what should be known of them.
 
     Raises:
-        FormatError: every photograph that cannot be opened (`opening`) or has not its camera's
-            size, in one message.
+        FormatError: every photograph that cannot be opened (`opening`), has not its camera's size,
+            or has a field that may name a person or a place, in one message.
         CaptureError: `out` holds something.
         PatternError: a colour of no light, or a single light of another colour.
     """
@@ -223,11 +224,12 @@ def import_session(
     if consent is not None:
         check_consent(consent)
     require_new(out)
-    marks = None if landmarks is None else read_points_px(landmarks)
+    marks = None if landmarks is None else read_clicked(landmarks, rig)
     found = find_photographs(folder, rig, one_light=one_light)
     total = sum(len(files) for files in found.values())
     levels = {p: drive_levels(p, rig, "on-off", emitters=emitters) for p in found if emitters}
-    beside = out.with_name(f".{out.name}.{secrets.token_hex(4)}")
+    place = out.resolve()  # of a link to an empty folder, the folder
+    beside = place.with_name(f".{place.name}.{secrets.token_hex(4)}")
     try:
         plan = SessionPlan(tuple(found), subject, expression, consent=consent)
         own = calibration or Carried()
@@ -246,8 +248,8 @@ def import_session(
             writer.close()
         if marks is not None:
             write_points_px(marks, beside / LANDMARKS)
-        os.replace(beside, out)
-        fsync_path(out.parent)
+        os.replace(beside, place)
+        fsync_path(place.parent)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     return Imported(total, tuple(more))
@@ -270,6 +272,7 @@ def _keep_all(
             try:
                 opened = open_photograph(path)
                 _require_size(path, opened, rig, camera)
+                _require_nameless(path, opened)
                 first = encodings.setdefault(camera, (opened.encoding, path))
                 if first[0] != opened.encoding:
                     raise FormatError(
@@ -297,6 +300,26 @@ def _keep_all(
     if problems:
         raise one_error(problems)
     return developed_findings(exposures)
+
+
+def _require_nameless(path: Path, opened: Opened) -> None:
+    """Refuse a photograph that would bring the name of a person or a place into the session.
+
+    Developed pictures are written anew, without any such field.
+    """
+    if opened.encoding == "raw":
+        private = read_exif(path).private
+    else:
+        private = () if opened.developed is not None else private_attributes(path)
+    if private:
+        raise FormatError(
+            path,
+            field="headers",
+            found=f"{', '.join(private)}, not empty",
+            expected="nothing that may name a person or a place",
+            hint="Clear these fields in a copy, as ExifTool does for RAW (exiftool -Artist= "
+            "-Copyright= -gps:all= FILE), and import the copy.",
+        )
 
 
 def _require_size(path: Path, opened: Opened, rig: Rig, camera_id: str) -> None:

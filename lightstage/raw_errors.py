@@ -8,6 +8,7 @@ import rawpy
 
 from lightstage.counting import counted
 from lightstage.errors import FormatError, unreadable_file
+from lightstage.formats.paths import require_utf8
 from lightstage.photo_file import identify_file
 
 SHORT = 1 << 16
@@ -25,6 +26,7 @@ def unreadable_raw(path: Path, error: Exception) -> FormatError:
     if isinstance(error, OSError):
         return unreadable_file(path, error)
     try:
+        require_utf8(path)
         # A fault of its own header is clearer than LibRaw's error.
         kind = identify_file(path)
     except OSError as refused:

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from lightstage.errors import FormatError
+from lightstage.formats.colour import SCHEMA, colour_numbers
 from lightstage.formats.files import read_json
-
-SCHEMA = "lightstage.colour/1"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,38 +89,8 @@ def read_colour(path: Path, camera_ids: list[str]) -> dict[str, ColourCorrection
     Raises:
         FormatError: every camera that is missing or whose numbers are unusable, in one message.
     """
-    value = read_json(path, SCHEMA)
-    cameras = value.get("cameras")
-    out: dict[str, ColourCorrection] = {}
-    bad = []
-    for camera in camera_ids:
-        try:
-            out[camera] = _correction(cameras[camera])
-        except (KeyError, TypeError, ValueError):
-            bad.append(camera)
-    if bad:
-        raise FormatError(
-            path,
-            field="cameras",
-            found=f"no usable linear_from_raw for {', '.join(bad)}",
-            expected="an invertible 3 x 3 matrix for each camera; root_polynomial, where there is "
-            "one, 3 x 6 finite numbers; exposure above 0",
-            hint="Photograph the colour chart with these cameras again.",
-        )
-    return out
-
-
-def _correction(entry: Mapping[str, Any]) -> ColourCorrection:
-    """One camera's correction; ValueError, TypeError or KeyError where it is unusable."""
-    matrix = np.array(entry["linear_from_raw"], float).reshape(3, 3)
-    bent, exposure = entry.get("root_polynomial"), entry.get("exposure")
-    terms = None if bent is None else np.array(bent, float).reshape(3, 6)
-    light = None if exposure is None else float(exposure)
-    finite = np.isfinite(matrix).all() and (terms is None or np.isfinite(terms).all())
-    usable = finite and abs(np.linalg.det(matrix)) >= 1e-12
-    if not usable or (light is not None and not 0 < light < np.inf):
-        raise ValueError("unusable numbers")
-    return ColourCorrection(matrix, terms, light)
+    numbers = colour_numbers(read_json(path, SCHEMA), camera_ids, path)
+    return {camera: ColourCorrection(*own) for camera, own in numbers.items()}
 
 
 def srgb_from_linear(rgb_linear: np.ndarray) -> np.ndarray:

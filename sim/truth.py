@@ -14,7 +14,7 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.files import write_json
 from lightstage.formats.landmarks import write_points_mm
 from lightstage.formats.mesh import write_obj, write_ply
-from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.processed import HEAD_SCHEMA, ProcessedFolder
 from lightstage.rig import Camera, Rig
 from sim.light.scene import Scene, Surface
 from sim.light.texture import raster_uv, texture_of
@@ -106,7 +106,8 @@ def write_atlas(
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(lambda item: folder.write_atlas(*item), maps.items()))
     write_obj(mesh, folder.registered_mesh)
-    write_json(folder.head_pose, {"head_from_world": subject.head_from_world.tolist()})
+    pose = {"schema": HEAD_SCHEMA, "head_from_world": subject.head_from_world.tolist()}
+    write_json(folder.head_pose, pose)
     write_json(
         folder.root / "report.json",
         {

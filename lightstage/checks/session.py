@@ -18,7 +18,7 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, LightstageError, one_error
 from lightstage.findings import Finding
 from lightstage.formats.exr import read_exr
-from lightstage.formats.landmarks import LANDMARKS, read_points_px
+from lightstage.formats.landmarks import LANDMARKS, read_clicked
 from lightstage.formats.session import (
     Frame,
     Session,
@@ -88,7 +88,7 @@ def check_session(
         problems += disagreements(root, session.file)
     if (root / LANDMARKS).exists():
         try:
-            read_points_px(root / LANDMARKS)
+            read_clicked(root / LANDMARKS, session.rig)
         except FormatError as error:
             problems.append(error)
     of_others, findings = strangers(session)

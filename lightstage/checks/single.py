@@ -101,7 +101,7 @@ def _clipping(photo: Photo, pattern: str, camera_id: str, config: ChecksConfig) 
         return []
     bad = share > config.max_clipped_share
     shares = ", ".join(
-        f"{two_digits(100 * part)} % of {name}"
+        f"{two_digits(100 * part, 100 * config.warn_clipped_share)} % of {name}"
         for part, name in zip(photo.clipped, COLOURS, strict=True)
         if part > 0
     )
@@ -133,8 +133,9 @@ def _exposure(photo: Photo, pattern: str, camera_id: str, config: ChecksConfig) 
             "retake" if bad else "warn",
             "underexposed",
             where(pattern, camera_id),
-            f"the brightest percent at {two_digits(100 * photo.signal)} % of white, "
-            f"signal to noise {two_digits(photo.snr)}",
+            "the brightest percent at "
+            f"{two_digits(100 * photo.signal, 100 * config.warn_signal_share)} % of white, "
+            f"signal to noise {two_digits(photo.snr, config.min_snr)}",
             f"at least {100 * config.warn_signal_share:g} %, and {config.min_snr:g}",
             "Were the lights on, is the cap off? Then open the aperture, or expose longer.",
             pattern,

@@ -25,8 +25,6 @@ Checked = Literal["passed", "failed", "changed since", "not checked"]
 SESSION_SCHEMA = "lightstage.session/1"
 TAIL_BYTES = 1 << 16
 """Bytes that are read from a journal's end, for its last line."""
-FIRST_BYTES = 1 << 22
-"""Bytes of a journal's first line, at most; it holds the levels of every pattern."""
 MOST_FOLDERS = 10_000
 
 
@@ -177,14 +175,12 @@ def _by_journal(root: Path) -> Seen:
 
 def _ends(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """A journal's first line, and its last whole one."""
-    handle = open_regular(path, "the journal of a capture")
-    try:
-        size = os.fstat(handle).st_size
-        head = os.pread(handle, FIRST_BYTES, 0)
-        tail = os.pread(handle, TAIL_BYTES, max(0, size - TAIL_BYTES))
-    finally:
-        os.close(handle)
-    first = parse_json(head.partition(b"\n")[0], path, LINE)
+    with open(open_regular(path, "the journal of a capture"), "rb") as file:
+        # It holds the levels of every pattern: megabytes where single lamps of a thousand are lit.
+        head = file.readline(LINE.size_bytes + 1)
+        file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL_BYTES))
+        tail = file.read(TAIL_BYTES)
+    first = parse_json(head.removesuffix(b"\n"), path, LINE)
     if not isinstance(first, dict) or first.get("event") != "begin":
         raise FormatError(path, field="line 1", found="something else", expected="the event begin")
     last: Any = {}

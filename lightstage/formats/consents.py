@@ -121,7 +121,7 @@ def read_consents(path: Path) -> Consents:
         ConfigError, FormatError: no registry, an unknown key or purpose, an id that is none or
             is there twice, a date that is none; all in one message.
     """
-    value = read_json(path) if path.suffix == ".json" else read_toml_value(path)
+    value = read_json(path) if path.suffix.lower() == ".json" else read_toml_value(path)
     check_schema(path, value, SCHEMA)
     listed = value.get("consent", [])
     if set(value) - {"schema", "consent"} or not isinstance(listed, list):

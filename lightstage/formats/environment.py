@@ -104,8 +104,15 @@ def write_lights(lights: LightSet, path: Path) -> Path:
 def read_lights(path: Path) -> LightSet:
     """Read a light set; FormatError when malformed, negative or at the origin."""
     value = read_json(path, SCHEMA)
+    entries = value.get("lights")
+    if not isinstance(entries, list) or not all(isinstance(each, dict) for each in entries):
+        raise FormatError(
+            path,
+            field="lights",
+            found="none" if entries is None else "something else",
+            expected="a list of lights, each an object with position_mm and rgb",
+        )
     try:
-        entries = value["lights"]
         lights = LightSet(
             str(value.get("name", path.stem)),
             _threes([e["position_mm"] for e in entries], "position_mm"),
@@ -119,7 +126,7 @@ def read_lights(path: Path) -> LightSet:
             found=f"no {error.args[0]}",
             expected="both position_mm and rgb",
         ) from None
-    except (TypeError, ValueError, AttributeError) as error:
+    except ValueError as error:
         raise FormatError(
             path, found=str(error), expected="lights of position_mm and rgb"
         ) from None

@@ -14,6 +14,7 @@ from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.failures import free_bytes
 from lightstage.formats.files import atomic_path
+from lightstage.formats.paths import require_utf8
 
 MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
 MOST_PIXELS = 2**28
@@ -23,6 +24,10 @@ OTHER_LAYOUT = 0x1A
 BLOCK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256)
 """Lines of one block, by the header's number of the compression [OpenEXR24]."""
 LONGEST_NAME = 255
+PRIVATE = ("owner", "comments", "latitude", "longitude")
+"""Standard attributes that may name a person or a place [OpenEXR24]."""
+MOST_SHOWN = 100
+"""Characters of the parts' names that a message repeats."""
 FULL_BYTES = 2**20
 """A disk with less room than this after a picture was written may have been full before its end."""
 
@@ -76,7 +81,8 @@ def read_exr(path: Path, *, finite: bool = False) -> np.ndarray:
         (h, w, 3) or (h, w) float32.
 
     Raises:
-        FormatError: missing, truncated, other channels than R G B or Y, or not finite.
+        FormatError: missing, truncated, other channels than R G B or Y or several parts with them,
+            or not finite.
     """
     stored = _stored(path)
     if stored.dtype == np.float16:
@@ -139,6 +145,7 @@ def _stored(path: Path) -> np.ndarray:
     """The channels R G B or Y as the file has them."""
     if not path.is_file():
         raise FormatError(path, found="no such file", expected="an OpenEXR picture")
+    require_utf8(path)
     with path.open("rb") as handle:
         begins = handle.read(len(MAGIC))
     if begins != MAGIC:
@@ -152,29 +159,84 @@ def _stored(path: Path) -> np.ndarray:
         )
     try:
         with OpenEXR.File(str(path)) as file:
-            windows = [file.header().get(name) for name in ("dataWindow", "displayWindow")]
-            channels = file.channels()
-            names = sorted(channels)
-            pixels = {name: channels[name].pixels for name in names}
+            parts = [
+                (
+                    str(part.name()),
+                    {name: channel.pixels for name, channel in part.channels.items()},
+                    [part.header.get(name) for name in ("dataWindow", "displayWindow")],
+                )
+                for part in file.parts
+            ]
     except Exception as error:  # OpenEXR raises bare RuntimeError and ValueError on damage
+        if "pixel type" in str(error):
+            raise FormatError(
+                path,
+                found="channels of one picture in half and in full floats",
+                expected="all of them in half floats, or all in full",
+                hint="Export it again with one type for all channels.",
+            ) from None
         raise FormatError(
             path,
             found=str(error).strip().splitlines()[-1],
             expected="a whole OpenEXR file",
             hint="Is the file truncated? Copy or render it again.",
         ) from None
-    if {"RY", "BY"} & set(names):
-        raise FormatError(
-            path,
-            found="luminance and chroma (Y RY BY)",
-            expected="R G B or Y",
-            hint="Export it again as RGB.",
-        )
-    key = "RGB" if "RGB" in pixels else "RGBA" if "RGBA" in pixels else "Y"
-    if key not in pixels:
-        raise FormatError(path, found=f"channels {names}", expected="R G B or Y")
-    found: np.ndarray = pixels[key]
-    return _displayed(found[:, :, :3] if found.ndim == 3 else found, windows)
+    pixels, windows = _picture(parts, path)
+    return _displayed(pixels[:, :, :3] if pixels.ndim == 3 else pixels, windows)
+
+
+def _picture(
+    parts: list[tuple[str, dict[str, np.ndarray], list[Any]]], path: Path
+) -> tuple[np.ndarray, list[Any]]:
+    """The pixels and windows of the part that holds the picture: the one with R G B, else with Y.
+
+    Programs write depth, masks and other layers as parts of their own, in any order.
+
+    Args:
+        parts: of the file: name, pixels by channel, data window and display window.
+        path: the file, for errors.
+
+    Raises:
+        FormatError: no such part, or several; deep pixels; luminance and chroma.
+    """
+    for keys in (("RGB", "RGBA"), ("Y",)):
+        holding = [part for part in parts if set(keys) & part[1].keys()]
+        if len(holding) > 1:
+            raise FormatError(
+                path,
+                found=f"{len(holding)} parts that hold {' '.join(keys[0])}: "
+                + ", ".join(ascii(name) for name, _, _ in holding)[:MOST_SHOWN],
+                expected="one part with R G B, or with Y",
+                hint="Export the part that is meant as a file of its own.",
+            )
+        for _, channels, windows in holding:
+            if {"RY", "BY"} & channels.keys():
+                raise FormatError(
+                    path,
+                    found="luminance and chroma (Y RY BY)",
+                    expected="R G B or Y",
+                    hint="Export it again as RGB.",
+                )
+            pixels = channels[next(key for key in keys if key in channels)]
+            if pixels.dtype == object:
+                raise FormatError(
+                    path,
+                    found="deep pixels, of several samples each",
+                    expected="one value a pixel",
+                    hint="Flatten the picture and export it again.",
+                )
+            return pixels, windows
+    names = sorted({name for _, channels, _ in parts for name in channels})
+    raise FormatError(path, found=f"channels {names}", expected="R G B or Y")
+
+
+def private_attributes(path: Path) -> tuple[str, ...]:
+    """Names of the attributes of a readable OpenEXR file that may reveal who or where."""
+    with OpenEXR.File(str(path), header_only=True) as file:  # which empties them at its end
+        headers = [dict(part.header) for part in file.parts]
+    return tuple(
+        name for name in PRIVATE if any(header.get(name) not in (None, "") for header in headers)
+    )
 
 
 def _displayed(pixels: np.ndarray, windows: list[Any]) -> np.ndarray:

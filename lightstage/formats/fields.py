@@ -53,9 +53,7 @@ class Fields:
 
     def whole(self, key: str, least: int, most: int) -> int:
         """A whole number from `least` to `most`."""
-        value = self._get(key)
-        if isinstance(value, float) and value.is_integer():
-            value = int(value)  # some programs write every number with a point
+        value = whole_number(self._get(key))
         if type(value) is not int or not least <= value <= most:
             raise self._wrong(key, value, f"a whole number from {least} to {most}")
         return value
@@ -103,6 +101,11 @@ class Fields:
     def _wrong(self, key: str, value: Any, expected: str) -> LightstageError:
         field = f"{self._place}.{key}" if self._place else key
         return self._error(self._where, field=field, found=_shown(value), expected=expected)
+
+
+def whole_number(value: Any) -> Any:
+    """`value`, as an int where it is whole: some programs write every number with a point."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def _is_number(value: Any) -> bool:

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from lightstage.errors import FormatError
-from lightstage.formats.files import read_json, write_json
+from lightstage.formats.files import check_schema, read_json, write_json
+from lightstage.rig import Rig
 
 SCHEMA = "lightstage.landmarks/1"
 LANDMARKS = "landmarks.json"
@@ -37,7 +38,7 @@ def read_points_px(path: Path, scheme: str = SCHEME) -> dict[str, np.ndarray]:
     value = read_json(path, SCHEMA)
     _require_not_the_other(path, value, "points_px", "points_mm")
     points = value.get("points_px")
-    if value.get("scheme") != scheme or not isinstance(points, dict):
+    if value.get("scheme") != scheme:
         raise FormatError(
             path,
             field="scheme",
@@ -47,10 +48,32 @@ def read_points_px(path: Path, scheme: str = SCHEME) -> dict[str, np.ndarray]:
             if value.get("scheme") in tuple(COUNTS)
             else "",
         )
+    if not isinstance(points, dict):
+        found = "none" if points is None else type(points).__name__
+        raise FormatError(path, field="points_px", found=found, expected="points by camera")
     return {
         camera: _array(path, f"points_px.{camera}", entry, 2, COUNTS[scheme])
         for camera, entry in points.items()
     }
+
+
+def read_clicked(path: Path, rig: Rig) -> dict[str, np.ndarray]:
+    """A session's landmarks.json: camera id to (68, 2) pixels, NaN where hidden.
+
+    Args:
+        path: the file.
+        rig: the session's.
+
+    Raises:
+        FormatError: as `read_points_px`, or a camera that the rig lacks.
+    """
+    points_px = read_points_px(path)
+    unknown = sorted(points_px.keys() - {camera.id for camera in rig.cameras})
+    if unknown:
+        raise FormatError(
+            path, field="points_px", found=", ".join(unknown), expected="cameras of rig.json"
+        )
+    return points_px
 
 
 def write_points_px(points_px: dict[str, np.ndarray], path: Path, scheme: str = SCHEME) -> Path:
@@ -62,8 +85,13 @@ def write_points_px(points_px: dict[str, np.ndarray], path: Path, scheme: str = 
 def read_points_mm(path: Path) -> np.ndarray:
     """Landmarks on a mesh: (68, 3) mm, NaN where absent; FormatError as above."""
     value = read_json(path)
-    if not isinstance(value, dict) or value.get("scheme") != SCHEME:
-        raise FormatError(path, field="scheme", found="another", expected=repr(SCHEME))
+    given = value if isinstance(value, dict) else {}
+    if "schema" in given:  # the file of another program may have none
+        check_schema(path, value, SCHEMA)
+    if given.get("scheme") != SCHEME:
+        raise FormatError(
+            path, field="scheme", found=repr(given.get("scheme")), expected=repr(SCHEME)
+        )
     _require_not_the_other(path, value, "points_mm", "points_px")
     return _array(path, "points_mm", value.get("points_mm"), 3, COUNTS[SCHEME])
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.errors import FormatError, LightstageError, one_error
-from lightstage.formats.fields import MOST
+from lightstage.formats.fields import MOST, whole_number
 from lightstage.formats.files import read_json, write_json
 from lightstage.rig import Rig
 
@@ -104,7 +104,13 @@ def read_measured_lights(path: Path, rig: Rig) -> MeasuredLights:
 
     entries = value.get("lights")
     listed = entries if isinstance(entries, list) else []
-    by_id = {e["id"]: e for e in listed if isinstance(e, dict) and type(e.get("id")) is int}
+    by_id: dict[int, dict[str, Any]] = {}
+    for entry in listed:
+        number = whole_number(entry.get("id")) if isinstance(entry, dict) else None
+        if type(number) is not int:
+            continue
+        if by_id.setdefault(number, entry) is not entry:
+            fault("lights", f"lamp {number} twice", "each once")
     rows = []
     for light in rig.lights:
         entry = by_id.get(light.id)

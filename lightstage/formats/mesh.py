@@ -123,9 +123,11 @@ def read_obj(path: Path) -> Mesh:
         FormatError: missing, malformed, or an index out of range.
     """
     try:
-        with open(open_regular(path, "an OBJ mesh"), encoding="utf-8") as handle:
-            lines = handle.readlines()
-    except (OSError, UnicodeDecodeError) as error:
+        # Comments and names of materials may be in any encoding; all that is read is ASCII.
+        handle = open_regular(path, "an OBJ mesh")
+        with open(handle, encoding="utf-8-sig", errors="replace") as file:
+            lines = file.readlines()
+    except OSError as error:
         raise FormatError(path, found=str(error), expected="a readable OBJ mesh") from None
     return parse_obj(lines, path)
 

@@ -50,6 +50,19 @@ def path_inside(
     return path
 
 
+def require_utf8(path: Path) -> None:
+    """FormatError for a path of other bytes than UTF-8: libraries that read pictures take none."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise FormatError(
+            path,
+            found="a path that is not UTF-8",
+            expected="one that is",
+            hint="Rename the folder or the file.",
+        ) from None
+
+
 def relative_path(
     given: Any, where: str | Path, field: str = "", error: type[LightstageError] = FormatError
 ) -> str:

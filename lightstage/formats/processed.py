@@ -12,6 +12,9 @@ from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr, read_half_exr, write_exr
 from lightstage.formats.png import write_png
 
+HEAD_SCHEMA = "lightstage.head/1"
+"""Of head_from_world.json."""
+
 
 @dataclasses.dataclass(frozen=True)
 class MapSpec:
@@ -75,7 +78,7 @@ class ProcessedFolder:
 
     @property
     def head_pose(self) -> Path:
-        """JSON ``{"head_from_world": [[3 x 4]]}``, written by registration."""
+        """JSON ``{"schema": HEAD_SCHEMA, "head_from_world": [[3 x 4]]}``, of registration."""
         return self.root / "head_from_world.json"
 
     @property

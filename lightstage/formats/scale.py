@@ -15,12 +15,11 @@ import numpy as np
 
 from lightstage.counting import counted
 from lightstage.errors import FormatError
+from lightstage.formats.colour import SCHEMA as COLOUR_SCHEMA
 from lightstage.formats.environment import white_reading
 from lightstage.formats.files import read_json
 from lightstage.formats.session import Session
 from lightstage.patterns.names import complement, pattern_levels
-
-COLOUR_SCHEMA = "lightstage.colour/1"
 
 
 def full_levels(session: Session) -> np.ndarray:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 
 from lightstage.counting import counted
 from lightstage.errors import FormatError, LightstageError, PatternError, one_error
@@ -35,7 +35,8 @@ class Frame(BaseModel):
     pattern: str
     camera: str
     path: str
-    sha256: str
+    sha256: Annotated[str, StringConstraints(to_lower=True)]
+    """In small letters; some programs, such as PowerShell, write capitals."""
     encoding: Literal["raw", "linear"]
 
 
@@ -234,19 +235,25 @@ def _faults(session: Session) -> list[LightstageError]:
                 )
             )
         seen.add((frame.pattern, frame.camera))
+    if not session.file.sequence:
+        problems.append(
+            FormatError(path, field="sequence", found="no pattern", expected="at least one")
+        )
     for index, pattern in enumerate(session.file.sequence):
+        field = f"sequence[{index}]"
+        if pattern in session.file.sequence[:index]:
+            problems.append(
+                FormatError(path, field=field, found=f"{pattern} again", expected="each once")
+            )
+            continue
         try:
-            check_name(pattern, path, f"sequence[{index}]")
-        except FormatError as error:
-            problems.append(error)
-            continue
-        driven = session.file.patterns.get(pattern)
-        if driven is None:
-            try:
+            check_name(pattern, path, field)
+            if pattern not in session.file.patterns:
                 pattern_levels(pattern, session.rig)
-            except PatternError as error:
-                problems.append(error)
-            continue
+        except (FormatError, PatternError) as error:
+            problems.append(error)
+    # Also of patterns that were not photographed: `full` sets the scale of the light.
+    for pattern, driven in session.file.patterns.items():
         levels, count = np.array(driven.levels), len(session.rig.lights)
         field = f"patterns.{pattern}.levels"
         if len(levels) != count:

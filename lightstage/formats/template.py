@@ -10,7 +10,7 @@ import numpy as np
 
 from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr, write_exr
-from lightstage.formats.fields import Fields
+from lightstage.formats.fields import Fields, whole_number
 from lightstage.formats.files import atomic_path, read_json, write_json
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
 from lightstage.formats.npz import UNREADABLE_NPZ
@@ -107,25 +107,11 @@ def load_template(path: Path) -> Template:
         )
     count = len(mesh.vertices)
     landmarks = Fields(value.get("landmarks", {}), path / "template.json", "landmarks").rest()
-    marks = landmarks.get("ibug68")
-    if not isinstance(marks, list) or not _is_indices(marks, count) or len(marks) != 68:
-        raise FormatError(
-            path / "template.json",
-            field="landmarks.ibug68",
-            found=f"{len(marks) if isinstance(marks, list) else type(marks).__name__}",
-            expected=f"68 vertex indices below {count}",
-        )
-    regions = {}
+    marks = _indices(landmarks.get("ibug68"), count, path, "landmarks.ibug68", 68)
     named = Fields(value.get("regions", {}), path / "template.json", "regions").rest()
-    for name, indices in named.items():
-        if not _is_indices(indices, count):
-            raise FormatError(
-                path / "template.json",
-                field=f"regions.{name}",
-                found="something else",
-                expected=f"vertex indices below {count}",
-            )
-        regions[name] = np.array(indices, np.int64)
+    regions = {
+        name: _indices(given, count, path, f"regions.{name}") for name, given in named.items()
+    }
     maps = {}
     for name in ("shininess", "translucency"):
         file = path / "maps" / f"{name}.exr"
@@ -135,7 +121,7 @@ def load_template(path: Path) -> Template:
     return Template(
         name=str(value.get("name", path.name)),
         mesh=mesh,
-        landmarks=np.array(marks, np.int64),
+        landmarks=marks,
         regions=regions,
         licence=str(value.get("licence", "")),
         source=str(value.get("source", "")),
@@ -193,8 +179,22 @@ def _depth_ratio(value: Any, path: Path) -> float:
     return float(value)
 
 
-def _is_indices(value: object, count: int) -> bool:
-    return isinstance(value, list) and all(type(i) is int and 0 <= i < count for i in value)
+def _indices(
+    given: Any, vertices: int, path: Path, field: str, wanted: int | None = None
+) -> np.ndarray:
+    """(n,) int64 indices of vertices that a template's file lists, so many where that is known."""
+    expected = f"{'' if wanted is None else f'{wanted} '}vertex indices below {vertices}"
+    if not isinstance(given, list):
+        found = "none" if given is None else type(given).__name__
+    elif wanted is not None and len(given) != wanted:
+        found = str(len(given))
+    else:
+        indices = [whole_number(each) for each in given]
+        wrong = [each for each in indices if type(each) is not int or not 0 <= each < vertices]
+        if not wrong:
+            return np.array(indices, np.int64)
+        found = f"index {wrong[0]!r}"[:40]
+    raise FormatError(path / "template.json", field=field, found=found, expected=expected)
 
 
 def _load_modes(path: Path, count: int) -> Modes | None:

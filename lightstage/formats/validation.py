@@ -28,6 +28,7 @@ EXPECTED = {
     "list_type": "a list",
     "dict_type": "a table",
     "dataclass_type": "a table",
+    "model_type": "a table",
 }
 """What was expected, by pydantic's name of an error; of others its own message has it."""
 MOST_LISTED = 50

@@ -226,6 +226,7 @@ def parse_url(url: str) -> Address:
     try:
         parts = urllib.parse.urlsplit(url)
         host, port = parts.hostname or "", parts.port
+        host.encode("idna")  # as the system's resolver does; it takes no empty part of a name
     except ValueError as error:
         raise ConfigError("--leds", found=f"{url!r} ({error})", expected=EXPECTED) from None
     cls = OPTIONS.get(parts.scheme)

@@ -4,7 +4,6 @@ from lightstage.session.accepted import Accepted, accepted_findings
 from lightstage.session.agreement import disagreements, whole_session
 from lightstage.session.colour import (
     COLOUR_PATH,
-    COLOUR_SCHEMA,
     Carried,
     read_calibration,
     read_colour,
@@ -24,7 +23,6 @@ from lightstage.session.writer import SessionWriter
 
 __all__ = [
     "COLOUR_PATH",
-    "COLOUR_SCHEMA",
     "Accepted",
     "Carried",
     "Exposed",

@@ -9,7 +9,8 @@ from typing import Any
 
 from lightstage.errors import FormatError
 from lightstage.formats.cameras import NAME as CAMERAS_NAME
-from lightstage.formats.fields import Fields
+from lightstage.formats.colour import SCHEMA as COLOUR_SCHEMA
+from lightstage.formats.colour import colour_numbers
 from lightstage.formats.files import check_schema, read_json
 from lightstage.formats.lights import read_measured_lights
 from lightstage.formats.paths import check_name, path_inside
@@ -17,7 +18,6 @@ from lightstage.formats.scale import chart_levels
 from lightstage.formats.values import FILE, parse_json, read_regular
 from lightstage.rig import Camera, Rig
 
-COLOUR_SCHEMA = "lightstage.colour/1"
 COLOUR_PATH = "calibration/colour.json"
 FLATS_SCHEMA = "lightstage.flats/1"
 BORDER_SHARE = 0.02
@@ -134,13 +134,10 @@ def read_colour(path: Path, rig: Rig) -> dict[str, Any]:
     """A colour calibration: for each camera a 3x3 matrix from raw to linear rgb.
 
     Raises:
-        FormatError: another schema, a camera of the rig without a finite 3x3 matrix, or levels of
-            the chart's light that do not fit the rig (formats.scale).
+        FormatError: another schema, a camera of the rig that is missing or whose numbers processing
+            could not use, or levels of the chart's light that do not fit the rig (formats.scale).
     """
     value = read_json(path, COLOUR_SCHEMA)
-    cameras = Fields(value.get("cameras", {}), path, "cameras").rest()
-    for camera in rig.cameras:
-        place = f"cameras.{camera.id}"
-        Fields(cameras.get(camera.id, {}), path, place).rows("linear_from_raw", 3, 3)
+    colour_numbers(value, [camera.id for camera in rig.cameras], path)
     chart_levels(value, len(rig.lights), path)
     return dict(value)

@@ -12,10 +12,10 @@ import numpy as np
 
 from lightstage.errors import FormatError
 from lightstage.formats.fields import MOST
-from lightstage.formats.files import read_json, sha256_file
+from lightstage.formats.files import check_schema, read_json, sha256_file
 from lightstage.formats.names import require_pseudonym
 from lightstage.formats.people import is_people_file
-from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.processed import HEAD_SCHEMA, ProcessedFolder
 from processing.errors import ProcessingError
 from processing.records import REPORT_SCHEMA, MadeFrom, read_made_from, read_records
 
@@ -271,8 +271,14 @@ def holds_scans(folder: Path) -> bool:
 
 
 def read_head_pose(path: Path) -> np.ndarray:
-    """head_from_world.json as (3, 4) float64; FormatError when missing or not rigid."""
+    """head_from_world.json as (3, 4) float64.
+
+    Raises:
+        FormatError: missing, of a newer version, or not rigid.
+    """
     value = read_json(path)
+    if isinstance(value, dict) and "schema" in value:  # earlier truths have none
+        check_schema(path, value, HEAD_SCHEMA)
     found = value.get("head_from_world") if isinstance(value, dict) else None
     try:
         pose = np.array(found, float).reshape(3, 4)

@@ -65,18 +65,6 @@ class LandmarkProvider(Protocol):
 
 
 @dataclasses.dataclass(frozen=True)
-class ClickedLandmarks:
-    """A landmarks.json that someone made by hand."""
-
-    path: Path
-
-    def find(self, pictures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """The file's landmarks, of whatever (h, w[, 3]) pictures."""
-        del pictures
-        return read_points_px(self.path)
-
-
-@dataclasses.dataclass(frozen=True)
 class DetectedLandmarks:
     """The project's own face detector.
 

@@ -13,9 +13,9 @@ from lightstage.counting import counted
 from lightstage.errors import FaceError
 from lightstage.faces.weights import require_weights
 from lightstage.formats.files import write_json
-from lightstage.formats.landmarks import LANDMARKS
+from lightstage.formats.landmarks import LANDMARKS, read_clicked
 from lightstage.formats.mesh import Mesh, read_ply, vertex_normals, write_obj
-from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.processed import HEAD_SCHEMA, ProcessedFolder
 from lightstage.formats.session import Session
 from lightstage.formats.template import Template
 from processing.colour import srgb_from_linear
@@ -30,7 +30,6 @@ from processing.registration.landmarks import triangulate
 from processing.registration.modes import fit_modes
 from processing.registration.nonrigid import Fit, fit_nonrigid
 from processing.registration.providers import (
-    ClickedLandmarks,
     CommandLandmarks,
     DetectedLandmarks,
 )
@@ -91,7 +90,7 @@ def register(
     write_json(
         folder.head_pose,
         {
-            "schema": "lightstage.head/1",
+            "schema": HEAD_SCHEMA,
             "template": template.name,
             "head_from_world": head_from_world.matrix().tolist(),
         },
@@ -118,7 +117,7 @@ def _landmarks(
         finder = CommandLandmarks(config.landmark_command)
         return finder.find(_pictures(session, folder)), "program"
     if (session.root / LANDMARKS).is_file():
-        return clicked_landmarks(session), "landmarks.json"
+        return read_clicked(session.root / LANDMARKS, session.rig), "landmarks.json"
     pictures = _pictures(session, folder)
     found = DetectedLandmarks(template).find(pictures)
     if not found:
@@ -149,13 +148,13 @@ def require_landmarks(session: Session, config: RegisterConfig) -> None:
     """Make sure that landmarks are there, or that somebody can find them.
 
     Raises:
-        FormatError: landmarks.json is not in its form.
-        RegistrationError: there are none and no detector, or they name a camera that the rig lacks.
+        FormatError: landmarks.json is not in its form, or names a camera that the rig lacks.
+        RegistrationError: there are none and no detector.
     """
     if config.landmark_command:
         return
     if (session.root / LANDMARKS).is_file():
-        clicked_landmarks(session)
+        read_clicked(session.root / LANDMARKS, session.rig)
         return
     try:
         require_weights()
@@ -166,23 +165,6 @@ def require_landmarks(session: Session, config: RegisterConfig) -> None:
             expected="68 iBUG landmarks in two cameras or more",
             hint=f"{CLICK} Or install the detector: {error.hint}",
         ) from None
-
-
-def clicked_landmarks(session: Session) -> dict[str, np.ndarray]:
-    """Landmarks in a session's landmarks.json: camera id to (68, 2) pixels, NaN where hidden.
-
-    Raises:
-        FormatError: the file is not in its form.
-        RegistrationError: a camera that the rig lacks.
-    """
-    path = session.root / LANDMARKS
-    points_px = ClickedLandmarks(path).find({})
-    unknown = sorted(set(points_px) - {camera.id for camera in session.rig.cameras})
-    if unknown:
-        raise RegistrationError(
-            path, field="points_px", found=", ".join(unknown), expected="cameras of rig.json"
-        )
-    return points_px
 
 
 def register_mesh(

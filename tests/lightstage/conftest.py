@@ -15,7 +15,7 @@ import pty
 import struct
 import threading
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -57,12 +57,21 @@ def make_rig(cameras: int = 3) -> Rig:
     )  # fmt: skip
 
 
-def make_dng(value: int | np.ndarray, width: int = 32, height: int = 48, seed: int = 0) -> bytes:
-    """A DNG that LibRaw reads: counts near `value` (or (height, width)), black 512, white 16383."""
+def make_dng(
+    value: int | np.ndarray,
+    width: int = 32,
+    height: int = 48,
+    seed: int = 0,
+    tags: Sequence[tuple[object, ...]] = (),
+) -> bytes:
+    """A DNG that LibRaw reads: counts near `value` (or (height, width)), black 512, white 16383.
+
+    Further `tags` are as tifffile takes them.
+    """
     counts = np.broadcast_to(value, (height, width)).astype(np.uint16)
     counts += np.random.default_rng(seed).integers(0, 8, counts.shape).astype(np.uint16)
     matrix = [1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1]
-    tags = [
+    own = [
         (50706, 1, 4, b"\x01\x04\x00\x00", True),
         (50707, 1, 4, b"\x01\x01\x00\x00", True),
         (50708, 2, 0, "Test camera", True),
@@ -77,7 +86,9 @@ def make_dng(value: int | np.ndarray, width: int = 32, height: int = 48, seed: i
         (50778, 3, 1, 21, True),
     ]
     file = io.BytesIO()
-    tifffile.imwrite(file, counts, photometric=32803, extratags=tags, metadata=None, software=None)
+    tifffile.imwrite(
+        file, counts, photometric=32803, extratags=[*own, *tags], metadata=None, software=None
+    )
     return file.getvalue()
 
 

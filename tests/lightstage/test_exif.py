@@ -149,6 +149,21 @@ def test_each_field_that_may_name_a_person_is_reported_by_its_name_alone(
     assert "Person" not in repr(found)
 
 
+@pytest.mark.parametrize(
+    ("make", "description", "private"),
+    [
+        ("OLYMPUS IMAGING CORP.", "OLYMPUS DIGITAL CAMERA         ", ()),
+        ("SONY", "SONY DSC", ()),
+        ("SONY", "SONY DSC of A. Person", ("ImageDescription",)),
+    ],
+)
+def test_a_description_that_a_maker_writes_itself_names_nobody(
+    tmp_path, make, description, private
+):
+    picture = NIKON | {270: words(description), 271: words(make)}
+    assert read(tmp_path, tiff(picture, CAMERA)).private == private
+
+
 def test_empty_fields_as_cameras_write_them_are_not_private(tmp_path):
     blank = {315: words(" " * 36), 33432: words(" " * 54), 40093: (1, b"\0\0")}
     exif = CAMERA | {37510: (7, b"ASCII\0\0\0" + b" " * 36), 42032: words("")}

@@ -28,6 +28,13 @@ def test_numbers_are_written_in_plain_figures_without_a_power_of_ten(value, mess
     assert two_digits(value) == message
 
 
+def test_a_number_that_misses_its_limit_is_not_written_as_the_limit():
+    assert two_digits(4.96, 5) == "4.96"
+    assert two_digits(0.10004, 0.1) == "0.10004"
+    assert two_digits(5.0, 5) == "5"
+    assert two_digits(4.94, 5) == "4.9"
+
+
 def test_one_is_one_and_two_are_several():
     assert (counted(1, "warning"), counted(2, "warning")) == ("1 warning", "2 warnings")
     assert [counted(n, "patch", "patches") for n in (0, 1)] == ["0 patches", "1 patch"]

@@ -68,7 +68,7 @@ def test_what_is_not_agreed_to_is_refused_with_id_and_purpose(
 
 
 def test_json_says_the_same_as_toml(registry: Path, tmp_path: Path) -> None:
-    path = tmp_path / "consents.json"
+    path = tmp_path / "CONSENTS.JSON"
     value = {
         "schema": "lightstage.consents/1",
         "consent": [{"id": "C-2", "purposes": ["publication", "research"], "until": "2026-06-15"}],

@@ -91,6 +91,12 @@ def test_a_light_set_survives_its_file(tmp_path):
         ([{"position_mm": [0, 0, 9] * 2, "rgb": [1, 1, 1] * 2}], "of entry 0"),
         ([{"position_mm": ["1", "2", "300"], "rgb": [1, 1, 1]}], "of entry 0"),
         ([{"position_mm": [0, 0, 900], "rgb": [True, 1, 1]}], "rgb .* of entry 0"),
+        (
+            {"position_mm": [0, 0, 900], "rgb": [1, 1, 1]},
+            "lights: found .*expected a list",
+        ),
+        ([[0, 0, 900]], "lights: found .*expected a list"),
+        (None, "lights: found none, expected a list of lights"),
     ],
 )
 def test_a_malformed_light_set_is_refused(tmp_path, lights, message):

@@ -141,6 +141,47 @@ def test_luminance_and_chroma_are_refused(tmp_path):
         read_exr(path)
 
 
+def write_parts(path, *parts):
+    """A file of parts, each its name and its pixels by channel."""
+    header = {"type": OpenEXR.scanlineimage}
+    with OpenEXR.File([OpenEXR.Part(dict(header), dict(c), name) for name, c in parts]) as file:
+        file.write(str(path))
+    return path
+
+
+def test_the_part_with_the_colours_is_read_wherever_it_is(tmp_path):
+    rgb = np.random.default_rng(0).uniform(0, 1, (4, 6, 3)).astype(np.float32)
+    grey = np.ones((4, 6), np.float32)
+    beauty, depth, mask = ("beauty", {"RGB": rgb}), ("depth", {"Z": grey}), ("mask", {"Y": grey})
+    for parts in ([depth, beauty], [mask, beauty], [beauty, mask]):
+        np.testing.assert_array_equal(read_exr(write_parts(tmp_path / "a.exr", *parts)), rgb)
+    assert read_exr(write_parts(tmp_path / "a.exr", depth, mask)).shape == (4, 6)
+
+
+@pytest.mark.parametrize("channel", ["RGB", "Y"])
+def test_several_parts_that_may_be_the_picture_are_refused_by_name(tmp_path, channel):
+    pixels = {channel: np.ones((4, 6, 3) if channel == "RGB" else (4, 6), np.float32)}
+    path = write_parts(tmp_path / "a.exr", ("normal", pixels), ("beauty", pixels))
+    with pytest.raises(FormatError, match=r"2 parts that hold .*'normal', 'beauty'"):
+        read_exr(path)
+
+
+def test_deep_pixels_and_channels_of_unlike_types_are_refused(tmp_path):
+    deep = np.empty((2, 2), object)
+    for place in np.ndindex(2, 2):
+        deep[place] = np.ones(2, np.float32)
+    header = {"type": OpenEXR.deepscanline, "compression": OpenEXR.ZIPS_COMPRESSION}
+    path = tmp_path / "a.exr"
+    with OpenEXR.File(header, dict.fromkeys("RGB", deep)) as file:
+        file.write(str(path))
+    with pytest.raises(FormatError, match="deep pixels"):
+        read_exr(path)
+    wide, half = np.ones((4, 6), np.float32), np.ones((4, 6), np.float16)
+    write_parts(path, ("", {"R": wide, "G": wide, "B": half}))
+    with pytest.raises(FormatError, match="all of them in half floats"):
+        read_exr(path)
+
+
 @given(st.integers(0, 400), st.integers(0, 255))
 def test_a_damaged_header_is_read_or_refused(tmp_path_factory, place, byte):
     path = write_exr(tmp_path_factory.mktemp("exr") / "a.exr", np.ones((40, 6, 3)))

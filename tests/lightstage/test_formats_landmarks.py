@@ -7,6 +7,7 @@ import pytest
 
 from lightstage.errors import FormatError
 from lightstage.formats.landmarks import (
+    read_clicked,
     read_points_mm,
     read_points_px,
     write_points_mm,
@@ -37,7 +38,11 @@ def test_points_survive_their_files_with_hidden_ones(tmp_path):
     ("value", "message"),
     [
         ({"scheme": "w300", "points_mm": []}, "scheme"),
-        ([], "scheme"),
+        ([], "scheme: found None, expected 'ibug68'"),
+        (
+            {"schema": "lightstage.landmarks/2", "scheme": "ibug68", "points_mm": []},
+            "newer version",
+        ),
         ({"scheme": "ibug68"}, "points_mm: found NoneType, expected 68 entries"),
         ({"scheme": "ibug68", "points_mm": [None] * 67}, "found 67, expected 68"),
         (
@@ -52,6 +57,14 @@ def test_other_landmarks_are_refused(tmp_path, value, message):
     path.write_text(json.dumps(value))
     with pytest.raises(FormatError, match=message):
         read_points_mm(path)
+
+
+@pytest.mark.parametrize(("points", "found"), [({}, "none"), ({"points_px": [1]}, "list")])
+def test_what_is_no_table_of_cameras_is_named(tmp_path, points, found):
+    path = tmp_path / "landmarks.json"
+    path.write_text(json.dumps({"schema": "lightstage.landmarks/1", "scheme": "ibug68", **points}))
+    with pytest.raises(FormatError, match=f"points_px: found {found}, expected points by camera"):
+        read_points_px(path)
 
 
 def test_each_kind_of_landmarks_is_named_where_the_other_is_wanted(tmp_path):
@@ -74,3 +87,11 @@ def test_landmarks_in_pictures_need_their_schema(tmp_path):
     path.write_text(json.dumps(value))
     with pytest.raises(FormatError, match=r"points_px.cam0: found 67"):
         read_points_px(path)
+
+
+def test_landmarks_of_a_camera_that_the_rig_lacks_are_refused(tmp_path, small_rig):
+    path = write_points_px({"cam0": points(2), "Cam1": points(2)}, tmp_path / "landmarks.json")
+    with pytest.raises(FormatError, match=r"points_px: found Cam1, expected cameras of rig\.json"):
+        read_clicked(path, small_rig)
+    write_points_px({"cam0": points(2)}, path)
+    assert list(read_clicked(path, small_rig)) == ["cam0"]

@@ -49,6 +49,14 @@ def obj(tmp_path, text):
     return path
 
 
+@pytest.mark.parametrize("begins", ["\ufeff".encode(), "# Cr\u00e9\u00e9\n".encode("latin-1")])
+def test_marks_and_comments_in_any_encoding_change_no_mesh(tmp_path, begins):
+    path = tmp_path / "m.obj"
+    path.write_bytes(begins + b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 9 9 9\nf 1 2 3\n")
+    mesh = read_obj(path)
+    assert mesh.vertices[mesh.faces[0]].tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0]]
+
+
 def test_quads_triangles_negative_indices_and_uv_are_read(tmp_path):
     mesh = read_obj(obj(tmp_path, MIXED))
     assert mesh.faces.tolist() == [[0, 1, 2, 3], [1, 4, 2, -1]]

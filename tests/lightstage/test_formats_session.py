@@ -87,6 +87,10 @@ def test_recorded_levels_are_believed_and_else_the_name(root, small_rig):
             r"(?s)4 problems:.*frames\[0\]\.sha256: found no such field",
         ),
         ({"sequence": ["full", "x+", "zz"]}, r"pattern 'zz': found an unknown name"),
+        ({"sequence": []}, "sequence: found no pattern, expected at least one"),
+        ({"sequence": ["full", "x+", "full"]}, r"sequence\[2\]: found full again"),
+        ({"calibration": None}, "calibration: found None, expected a table"),
+        ({"patterns": {"y+": {"levels": [1]}}}, r"patterns\.y\+\.levels: found 1 level, expec"),
         ({"sequence": ["full", "x+", "../z"]}, r"sequence\[2\]: found '\.\./z', expected a name"),
         (
             {"calibration": {"colour": "../../.."}},
@@ -140,6 +144,14 @@ def test_missing_and_changed_frames_are_each_named(root):
     assert changed.where == f"{root}/frames/x+/cam0.dng"
     assert changed.field == "sha256"
     assert "of 6 bytes" in changed.found
+
+
+def test_a_hash_in_capitals_is_the_same_hash(root):
+    value = json.loads((root / "session.json").read_text())
+    for frame in value["frames"]:
+        frame["sha256"] = frame["sha256"].upper()
+    (root / "session.json").write_text(json.dumps(value))
+    assert changed_frames(load_session(root)) == []
 
 
 def test_a_frame_absent_from_the_grid_is_missing(root):

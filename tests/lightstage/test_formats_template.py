@@ -85,7 +85,11 @@ DAMAGE = {
         changed(landmarks={"ibug68": list(range(67))}),
         "landmarks.ibug68: found 67, expected 68",
     ),
-    "index": (changed(landmarks={"ibug68": [81] * 68}), "68 vertex indices below 81"),
+    "index": (
+        changed(landmarks={"ibug68": [81] * 68}),
+        "index 81, expected 68 vertex indices",
+    ),
+    "no index": (changed(landmarks={"ibug68": [0.5] * 68}), "found index 0.5"),
     "region": (changed(regions={"lips": [-1]}), "regions.lips"),
     "depth": (changed(depth_ratio=0), r"depth_ratio: found 0, expected a number, 0.3 to 3"),
     "depth too": (changed(depth_ratio=True), "depth_ratio: found True"),
@@ -98,6 +102,15 @@ DAMAGE = {
         "found no template.json, expected a template",
     ),
 }
+
+
+def test_indices_may_be_written_with_a_point(tmp_path, template):
+    path = save_template(template, tmp_path / "T")
+    marks = [float(index) for index in range(68)]
+    changed(landmarks={"ibug68": marks}, regions={"lips": [2.0]})(path, template)
+    read = load_template(path)
+    assert read.landmarks.dtype == read.regions["lips"].dtype == np.int64
+    assert (read.landmarks.tolist(), read.regions["lips"].tolist()) == (marks, [2])
 
 
 @pytest.mark.parametrize("name", DAMAGE)

@@ -6,13 +6,16 @@ import os
 import stat
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from lightstage.checks import check_session
 from lightstage.errors import CaptureError, FormatError
 from lightstage.formats.exr import write_exr
+from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.session import load_session
 from lightstage.importing import find_photographs, import_session, named_cameras
+from lightstage.opening import open_photograph
 from lightstage.patterns import pattern_levels
 from lightstage.rig import save_rig
 from tests.programs import run_program
@@ -85,6 +88,24 @@ def test_a_session_is_refused_with_what_to_do_and_its_photographs_alone_are_take
     )
 
 
+def test_photographs_that_name_a_person_or_a_place_are_refused(folder, tmp_path, small_rig, dng):
+    camera = small_rig.cameras[0]
+    rig = dataclasses.replace(small_rig, cameras=(camera,))
+    header = {"type": OpenEXR.scanlineimage, "owner": "A. Person", "latitude": 51.5}
+    path = tmp_path / "one" / "full" / f"{camera.id}.exr"
+    path.parent.mkdir(parents=True)
+    with OpenEXR.File(header, {"RGB": np.ones((48, 32, 3), np.float32)}) as file:
+        file.write(str(path))
+    with pytest.raises(FormatError, match="headers: found owner, latitude, not empty"):
+        import_session(tmp_path / "one", rig, tmp_path / "S", "p1", "neutral")
+    path.with_suffix(".dng").write_bytes(dng(1000, tags=[(315, 2, 0, "A. Person", True)]))
+    path.unlink()
+    with pytest.raises(FormatError, match="headers: found Artist, not empty") as caught:
+        import_session(tmp_path / "one", rig, tmp_path / "S", "p1", "neutral")
+    assert "Person" not in str(caught.value)
+    assert not (tmp_path / "S").exists()
+
+
 def test_photographs_in_a_folder_frames_import_too(folder, tmp_path, small_rig):
     (tmp_path / "card").mkdir()
     folder.rename(tmp_path / "card" / "frames")
@@ -99,6 +120,17 @@ def test_raw_photographs_are_named_by_their_bytes(tmp_path, small_rig, dng):
     import_session(tmp_path / "in", small_rig, tmp_path / "S", "p1", "neutral")
     names = sorted(os.listdir(tmp_path / "S" / "frames" / "full"))
     assert names == ["cam0.dng", "cam1.dng", "cam2.dng"]
+
+
+def test_a_path_that_is_not_utf8_is_named_as_such(tmp_path, dng):
+    folder = tmp_path / os.fsdecode(b"\xff")
+    write_exr(tmp_path / "a.exr", np.ones((48, 32, 3)))
+    (tmp_path / "a.dng").write_bytes(dng(1000))
+    folder.mkdir()
+    for name in ("a.exr", "a.dng"):
+        os.rename(tmp_path / name, folder / name)
+        with pytest.raises(FormatError, match="found a path that is not UTF-8"):
+            open_photograph(folder / name)
 
 
 def test_every_misnamed_or_missing_photograph_is_reported_at_once(folder, small_rig):
@@ -128,6 +160,24 @@ def test_a_damaged_photograph_leaves_nothing_behind(folder, tmp_path, small_rig,
     with pytest.raises(FormatError, match=r"x\+/cam1.exr"):
         import_session(folder, small_rig, tmp_path / "S", "p1", "neutral")
     assert sorted(os.listdir(tmp_path)) == before
+
+
+def test_landmarks_of_another_camera_are_refused_before_they_are_kept(folder, tmp_path, small_rig):
+    marks = write_points_px({"cam9": np.zeros((68, 2))}, tmp_path / "landmarks.json")
+    with pytest.raises(FormatError, match="cam9, expected cameras of rig"):
+        import_session(folder, small_rig, tmp_path / "S", "p1", "smile", landmarks=marks)
+    import_session(folder, small_rig, tmp_path / "S", "p1", "smile")
+    (tmp_path / "S" / "landmarks.json").write_bytes(marks.read_bytes())
+    with pytest.raises(FormatError, match="cam9, expected cameras of rig"):
+        check_session(tmp_path / "S")
+
+
+def test_a_link_to_an_empty_folder_holds_the_session(folder, tmp_path, small_rig):
+    (tmp_path / "disk" / "S").mkdir(parents=True)
+    (tmp_path / "S").symlink_to(tmp_path / "disk" / "S")
+    import_session(folder, small_rig, tmp_path / "S", "p1", "smile")
+    assert load_session(tmp_path / "disk" / "S").file.subject == "p1"
+    assert os.listdir(tmp_path / "disk") == ["S"]
 
 
 def test_an_existing_folder_is_never_touched(folder, tmp_path, small_rig):

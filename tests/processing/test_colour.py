@@ -99,6 +99,7 @@ def test_what_is_no_number_stays_none_and_the_rest_is_untouched() -> None:
     "entry",
     [
         {"root_polynomial": [[1, 0, 0]] * 3},
+        {"root_polynomial": [[1, 0, 0]] * 6},
         {"root_polynomial": [[1, 0, 0, 0, 0, float("inf")]] * 3},
         {"exposure": 0},
         {"exposure": "long"},

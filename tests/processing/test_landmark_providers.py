@@ -1,7 +1,6 @@
 """Landmarks from programs of other environments, and of meshes that have none."""
 
 import dataclasses
-import json
 import re
 import sys
 
@@ -10,13 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lightstage.errors import FormatError
-from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.template import Template, default_template_path, load_template
 from processing.errors import RegistrationError
 from processing.registration.providers import (
-    ClickedLandmarks,
     CommandLandmarks,
     DetectedLandmarks,
     landmarks_of_mesh,
@@ -45,12 +41,6 @@ def prints(value):
 
 def landmarks(**cameras):
     return {"schema": "lightstage.landmarks/1", "scheme": "ibug68", "points_px": cameras}
-
-
-def test_clicks_come_from_their_file(tmp_path):
-    points = np.random.default_rng(0).uniform(0, 100, size=(68, 2)).round(3)
-    write_points_px({"cam0": points}, tmp_path / "l.json")
-    assert np.allclose(ClickedLandmarks(tmp_path / "l.json").find({})["cam0"], points)
 
 
 def test_a_program_sees_every_picture_and_prints_landmarks(tmp_path):
@@ -167,14 +157,6 @@ def test_no_face_in_any_picture_is_reported():
 
     with pytest.raises(RegistrationError, match="23 other turns"):
         landmarks_of_mesh(TEMPLATE.mesh, Blind(), 2.5, MARKS)
-
-
-def test_a_missing_file_of_clicks_is_reported(tmp_path):
-    with pytest.raises(FormatError):
-        ClickedLandmarks(tmp_path / "none.json").find({})
-    (tmp_path / "bad.json").write_text(json.dumps({"schema": "other/1"}))
-    with pytest.raises(FormatError):
-        ClickedLandmarks(tmp_path / "bad.json").find({})
 
 
 @pytest.fixture(scope="module")

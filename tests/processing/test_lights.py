@@ -107,6 +107,7 @@ def test_lights_of_a_file_may_stand_in_any_order(tmp_path: Path) -> None:
     path = write_measured_lights(known, RIG, tmp_path / "l.json")
     value = json.loads(path.read_text())
     value["lights"].reverse()
+    value["lights"][0]["id"] *= 1.0  # some programs write every number with a point
     path.write_text(json.dumps(value))
     np.testing.assert_array_equal(read_measured_lights(path, RIG).rgb_gain, known.rgb_gain)
 
@@ -117,13 +118,15 @@ def test_every_fault_of_a_lights_file_is_in_one_message(tmp_path: Path) -> None:
     value["lights"][4]["position_mm"] = [0, 0, "far"]
     value["lights"][5]["rgb_gain"] = [1, -1, 1]
     del value["lights"][6]
+    value["lights"].append(value["lights"][3])
     value["exponent"] = -1
     value["stray"] = {"x+": [1, 2]}
     path.write_text(json.dumps(value))
     with pytest.raises(FormatError) as caught:
         read_measured_lights(path, RIG)
     message = str(caught.value)
-    for word in ("lamp 4.position_mm", "lamp 5.rgb_gain", "no lamp 6", "exponent", "stray.x+"):
+    faults = ("lamp 3 twice", "lamp 4.position_mm", "lamp 5.rgb_gain", "no lamp 6")
+    for word in (*faults, "exponent", "stray.x+"):
         assert word in message
 
 

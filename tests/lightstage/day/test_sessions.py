@@ -53,6 +53,14 @@ def test_each_state_follows_from_the_journal_alone(tmp_path: Path) -> None:
     assert seen["damaged"].said
 
 
+def test_a_session_of_very_many_levels_is_whole(tmp_path: Path) -> None:
+    root = write_journal(tmp_path / "S", FRAME, END)
+    begin, rest = (root / "journal.jsonl").read_text().split("\n", 1)
+    many = json.dumps(json.loads(begin) | {"levels": {"olat-000": [0.0] * (1 << 20)}})
+    (root / "journal.jsonl").write_text(f"{many}\n{rest}")
+    assert seen_session(root).state == "whole"
+
+
 def test_a_session_whose_capture_answers_runs(tmp_path: Path) -> None:
     path = tmp_path / "run.sock"
     root = write_journal(tmp_path / "S", {"event": "note", "said": "x", "socket": str(path)})

@@ -89,6 +89,8 @@ def test_help_and_the_page_of_the_wires_name_every_kind():
         ("adalight:///dev/x?order=rgg", "rgb in any order"),
         ("adalight:///dev/x?colour=white", "RRGGBB"),
         ("adalight:///dev/x?colour=000000", "not black"),
+        ("socket://lab..local:5", r"socket://lab\.\.local:5.*socket://HOST:PORT"),
+        (f"sacn://{'a' * 64}", "sacn://HOST"),
         ("ws://h:8080", "ws://HOST:8080/ws"),
         ("ws://h/ws", "ws://HOST:8080/ws"),
         ("ws://:8080/ws", "ws://HOST:8080/ws"),
