@@ -205,6 +205,7 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
     if hasattr(config, "generator") and hasattr(config, "data"):
         _require_patch(config.data.patch_px, config.generator, where)
         _require_losses(config, where)
+        _require_skin_alone(config.augment.beside, where)
 
 
 def configured(
@@ -381,6 +382,18 @@ def _require_patch(patch_px: int, generator: GeneratorConfig, where: str | Path)
             found=str(patch_px),
             expected=f"a multiple of {multiple}, at least {least}",
             hint=f"The generator halves a patch {counted(multiple.bit_length() - 1, 'time')}.",
+        )
+
+
+def _require_skin_alone(beside: float, where: str | Path) -> None:
+    """Patches show nothing but skin, so that what else a person has cannot differ in them."""
+    if beside:
+        raise ConfigError(
+            where,
+            field="augment.beside",
+            found=f"{beside:g}",
+            expected="0 for networks of patches, which are shown skin alone",
+            hint="Leave it out; whole faces have eyes and hair.",
         )
 
 

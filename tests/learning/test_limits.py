@@ -114,6 +114,13 @@ def test_a_network_that_no_machine_holds_is_refused_before_it_is_built():
         preset("paper", {"generator": {"width": 1024, "downsamplings": 8}}, "run.toml")
 
 
+def test_networks_of_patches_refuse_a_variation_of_eyes_and_hair_that_they_are_never_shown():
+    for name in ("demo", "avatarme"):
+        with pytest.raises(ConfigError, match=r"augment.beside: found 0.5, expected 0 for"):
+            preset(name, {"augment": {"beside": 0.5}}, "run.toml")
+    assert preset("modern", {"augment": {"beside": 0.5}}, "run.toml").augment.beside == 0.5
+
+
 def test_a_rendering_loss_may_have_no_environment_but_the_input_s_own():
     assert preset("demo", {"environments": 0}, "run.toml").draws == 0
     assert preset("demo", {"environments": 0, "render_weight": 0.0}, "run.toml").draws == 0
