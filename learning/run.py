@@ -166,6 +166,9 @@ class Run:
                     with self.clock.part(NETWORK):
                         losses = self._mean(learner.step(step, done))
                     finished, whole = step + 1, True
+                    if step == self.first:
+                        # It compiles loops, for a minute on a busy machine.
+                        self.clock.first_seconds = self.clock.step_seconds
                     if not all(map(math.isfinite, losses.values())):
                         raise self._astray(learner, step, f"losses {losses}", "finite ones")
                     if guard.leapt(losses[learner.watched]):
@@ -257,9 +260,7 @@ class Run:
                 return
             yield step, done
             if step == self.first:
-                # The first step compiles loops, for a minute on a busy machine.
-                began = time.monotonic()
-                self.clock.first_seconds = self.clock.step_seconds
+                began = time.monotonic()  # what that compiled is no part of the time
             step += 1
             if seconds is None:
                 shown(step, total)
