@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from learning.domain.config import DomainConfig
+from learning.networks.discriminator import DiscriminatorConfig
 from learning.networks.generator import GeneratorConfig
 from learning.networks.whole_face import WholeFaceConfig
 from learning.photo.config import FitConfig
@@ -165,7 +166,7 @@ LIMITS: dict[str, tuple[float, float]] = {
 }
 """Smallest and largest value of each number; of a pair, of both, the first not above the second."""
 MOST_WEIGHTS = 4e9
-"""Weights of a generator, at most: 16 GB of float32."""
+"""Weights of a network, at most: 16 GB of float32."""
 
 
 def require_within(config: Any, where: str | Path, table: str = "") -> None:
@@ -198,8 +199,8 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
         _require_channels(config, where)
     if isinstance(config, OcclusionNetworkConfig):
         _require_blocks(config, where)
-    if isinstance(config, GeneratorConfig):
-        _require_size(config, where)
+    if isinstance(config, GeneratorConfig | DiscriminatorConfig | WholeFaceConfig | RcanConfig):
+        _require_size(config, where, table)
     if isinstance(config, FitConfig):
         _require_fit(config, where)
     if hasattr(config, "generator") and hasattr(config, "data"):
@@ -357,17 +358,29 @@ def _require_channels(config: RcanConfig, where: str | Path) -> None:
         )
 
 
-def _require_size(config: GeneratorConfig, where: str | Path) -> None:
-    """The largest layers alone: two 3 x 3 convolutions a block at the network's narrowest place."""
-    widest = config.width * 2**config.downsamplings
-    weights = 9.0 * widest**2 * (2 * config.global_blocks + 1)
+def _require_size(config: Any, where: str | Path, table: str) -> None:
+    """By the largest layers alone: a network at its narrowest place, or all of its blocks."""
+    if isinstance(config, GeneratorConfig):
+        widest = config.width * 2**config.downsamplings
+        weights = 9.0 * widest**2 * (2 * config.global_blocks + 1)
+        hint = "Lower width, downsamplings or global_blocks."
+    elif isinstance(config, DiscriminatorConfig):
+        weights = 16.0 * (8 * config.width) ** 2 * config.layers * config.scales
+        hint = "Lower width, layers or scales."
+    elif isinstance(config, WholeFaceConfig):
+        # 2.5 convolutions of the widest with nine places, and a third as much at larger sizes.
+        weights = (30.0 + config.heads) * (config.width * 2**config.halvings) ** 2
+        hint = "Lower width, halvings or heads."
+    else:
+        weights = 18.0 * config.width**2 * config.groups * config.blocks
+        hint = "Lower width, groups or blocks."
     if weights > MOST_WEIGHTS:
         raise ConfigError(
             where,
-            field="generator",
+            field=table,
             found=f"about {weights / 1e9:.0f} thousand million weights",
             expected=f"at most {MOST_WEIGHTS / 1e9:.0f}",
-            hint="Lower width, downsamplings or global_blocks.",
+            hint=hint,
         )
 
 
