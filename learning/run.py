@@ -225,7 +225,8 @@ class Run:
     def _drop_lost(self) -> None:
         """Remove the curves of steps that no checkpoint has."""
         if (self.out / INDEX).exists():
-            drop_lost_lines(self.out / METRICS, self.first)
+            if drop_lost_lines(self.out / METRICS, self.first) and self.events is not None:
+                self.events.begin_again(self.first)
             return
         # Of a run that ended before its first checkpoint: its curves are not this one's.
         for path in (self.out / METRICS, *self.out.glob(f"{EVENTS}*")):
