@@ -165,6 +165,8 @@ LIMITS: dict[str, tuple[float, float]] = {
     "score_patches": (1, 1_000_000),
 }
 """Smallest and largest value of each number; of a pair, of both, the first not above the second."""
+LEAST_SHADOW_ROWS = 16
+"""Rows of a grid that still has the shape of a head."""
 MOST_WEIGHTS = 4e9
 """Weights of a network, at most: 16 GB of float32."""
 
@@ -205,6 +207,7 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
         _require_fit(config, where)
     if hasattr(config, "generator") and hasattr(config, "data"):
         _require_patch(config.data.patch_px, config.generator, where)
+        _require_shadows(config.data.shadow_rows, where)
         _require_losses(config, where)
         _require_skin_alone(config.augment.beside, where)
 
@@ -395,6 +398,17 @@ def _require_patch(patch_px: int, generator: GeneratorConfig, where: str | Path)
             found=str(patch_px),
             expected=f"a multiple of {multiple}, at least {least}",
             hint=f"The generator halves a patch {counted(multiple.bit_length() - 1, 'time')}.",
+        )
+
+
+def _require_shadows(rows: int, where: str | Path) -> None:
+    """A head of a few rows is all in its own shadow, or casts none."""
+    if 0 < rows < LEAST_SHADOW_ROWS:
+        raise ConfigError(
+            where,
+            field="data.shadow_rows",
+            found=str(rows),
+            expected=f"0 for no shadows, or {LEAST_SHADOW_ROWS} or more",
         )
 
 

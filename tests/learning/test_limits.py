@@ -123,6 +123,14 @@ def test_a_network_that_no_machine_holds_is_refused_before_it_is_built(name, tab
         preset(name, {table: size}, "run.toml")
 
 
+def test_shadows_are_baked_on_as_many_rows_as_a_head_needs_or_not_at_all():
+    for rows in (1, 15):
+        with pytest.raises(ConfigError, match=f"data.shadow_rows: found {rows}, expected 0 for no"):
+            preset("demo", {"data": {"shadow_rows": rows}}, "run.toml")
+    for rows in (0, 16):
+        preset("demo", {"data": {"shadow_rows": rows}}, "run.toml")
+
+
 def test_networks_of_patches_refuse_a_variation_of_eyes_and_hair_that_they_are_never_shown():
     for name in ("demo", "avatarme"):
         with pytest.raises(ConfigError, match=r"augment.beside: found 0.5, expected 0 for"):
