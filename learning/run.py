@@ -31,6 +31,7 @@ from learning.guard import LEAP, LEAP_FROM_FIRST, WINDOW, Guard
 from learning.metrics_file import METRICS, drop_lost_lines
 from learning.processes import ALONE, Processes
 from learning.resuming import require_same_run
+from learning.same_scans import require_other_scans
 from learning.samples import Sample, write_samples
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
@@ -464,7 +465,7 @@ def split(store: Store, held_out: int) -> tuple[set[str], set[str]]:
     """People held out (the last by name) and people trained on.
 
     Raises:
-        TrainingError: not at least one of each, or maps of several sizes.
+        TrainingError: not at least one of each, maps of several sizes, or one's scans in both.
     """
     sizes = sorted({scan.rows for scan in store.scans})
     if len(sizes) > 1:
@@ -485,4 +486,6 @@ def split(store: Store, held_out: int) -> tuple[set[str], set[str]]:
             hint="Add people to the store, or lower held_out_subjects (at least 1); scans of one "
             "person all go to one side.",
         )
-    return set(people[-held_out:]), set(people[:-held_out])
+    apart, others = set(people[-held_out:]), set(people[:-held_out])
+    require_other_scans(store, others, apart)
+    return apart, others

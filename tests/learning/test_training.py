@@ -415,6 +415,10 @@ def test_people_are_split_never_patches(store_path: Path) -> None:
     for wrong in (0, 3):
         with pytest.raises(TrainingError, match="subjects: found 3"):
             split(store, wrong)
+    # One person's scan under two names.
+    same = dataclasses.replace(store.scans[2], sha256=store.scans[0].sha256)
+    with pytest.raises(TrainingError, match="the same files of person-0 and person-2, of whom one"):
+        split(dataclasses.replace(store, scans=(*store.scans[:2], same)), 1)
 
 
 def test_presets_resolve_and_refuse_unknown_names() -> None:
