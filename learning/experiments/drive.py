@@ -20,7 +20,6 @@ from typing import Any, TypeVar
 from learning.experiments.work import Order, one_run
 from lightstage.errors import ConfigError, MemoryLimitError
 from lightstage.interrupts import raise_on_signals
-from processing.parallel import cores
 
 STOP = ".stop"
 """File in an experiment's folder at whose sight runs stop."""
@@ -112,7 +111,7 @@ def _executor(jobs: int, scheduler: str | None) -> Iterator[Executor]:
     elif jobs == 1:
         yield Here()
     else:
-        with _threads(max(1, cores() // jobs)):
+        with _threads(max(1, len(os.sched_getaffinity(0)) // jobs)):
             context = multiprocessing.get_context("spawn")
             given = (os.getpid(),)
             with concurrent.futures.ProcessPoolExecutor(jobs, context, _begin, given) as pool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -36,7 +37,6 @@ from learning.whole.face import Face, face_of, read_small, tensors_of
 from learning.whole.texture_layout import brows_to_lips, of_another_layout
 from lightstage.commands import ProgressCallback, quiet
 from processing.dataset import Store
-from processing.parallel import cores
 
 FINER = 2
 """Faces are lit at so many times the network's resolution, so that edges of shadows are sharp."""
@@ -181,7 +181,7 @@ class Faces:
         self._scans = [scan for scan in store.scans if scan.subject in subjects]
         size_px = (FINER * size.rows, FINER * size.columns)
         # Rays are cast outside Python's lock: a person in each thread.
-        threads = ThreadPoolExecutor(cores())
+        threads = ThreadPoolExecutor(len(os.sched_getaffinity(0)))
         try:
             baked = [
                 threads.submit(

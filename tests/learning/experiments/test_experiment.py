@@ -56,7 +56,7 @@ def finished(store_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 def test_runs_at_once_share_the_cores_that_this_process_may_use(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for name in (*THREADS, "LIGHTSTAGE_THREADS"):
+    for name in THREADS:
         monkeypatch.delenv(name, raising=False)
     # Of a machine of 64 six are ours, as in a container or by SLURM.
     monkeypatch.setattr("os.cpu_count", lambda: 64)
