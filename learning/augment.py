@@ -51,7 +51,8 @@ class Variation:
         gain: of red, green and blue diffuse albedo.
         shininess: Blinn-Phong's exponent.
         translucency: 0..1.
-        pattern: (1, 3, 6, 4) absorbance that is added over the face; None for none.
+        pattern: (1, 3, 6, 4), or of any other size, absorbance that is added over the face; None
+            for none.
         beside: gain of red, green and blue of what is not skin.
     """
 

@@ -155,12 +155,13 @@ def read_checkpoint(path: Path) -> Checkpoint:
     Raises:
         FormatError, CheckpointError: missing, of another kind, or fields missing.
     """
-    index = path / INDEX if path.suffix == "" else path
-    if index.suffix != ".json":
+    # Suffixes decide nothing of a folder: a run's name may have a full stop in it.
+    index = path if path.suffix == ".json" and not path.is_dir() else path / INDEX
+    if index != path and path.is_file():
         raise CheckpointError(
-            index,
-            found=f"suffix {index.suffix!r}",
-            expected="a run folder or its checkpoint.json",
+            path,
+            found=f"a file with the suffix {path.suffix!r}",
+            expected=f"a run folder or its {INDEX}",
         )
     value = read_json(index, SCHEMA)
     try:

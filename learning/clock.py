@@ -25,7 +25,7 @@ class Clock:
         self.seconds: dict[str, float] = defaultdict(float)
         self._whole: dict[str, float] = defaultdict(float)
         self.first_seconds = 0.0
-        """Of the first step, which compiles loops; 0 until the second one begins."""
+        """Of the first step, which compiles loops; 0 until it is done."""
         self._lock, self._own = threading.Lock(), threading.local()
 
     @contextlib.contextmanager

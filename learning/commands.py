@@ -34,7 +34,7 @@ from learning.infer import infer
 from learning.map_folders import require_texture_maps
 from learning.maps import TexturedHead, load_head
 from learning.mesostructure.infer import TrainedMesostructure
-from learning.presets import preset
+from learning.presets import preset, require_one_length
 from learning.processes import ALONE, Processes, joined
 from learning.relight import (
     lit_texture,
@@ -230,6 +230,7 @@ def train_command(
     """Train, as one of the processes; returns the facts."""
     device = choose_device(device_name, processes.local_rank)
     overrides = read_toml(config) if config else {}
+    require_one_length(overrides, config or "--config")
     if environment is not None:
         target = dataclasses.asdict(read_target_light(environment))
         lights = overrides.get("lights", {})

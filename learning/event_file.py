@@ -5,9 +5,11 @@ the bytes, and their masked CRC [TFRecord2024]. The CRC is Castagnoli's [RFC3720
 ((crc >> 15) | (crc << 17)) + 0xa282ead8, so that a CRC of bytes that hold CRCs is no special one.
 Each record is an `Event` of protocol buffers [TensorFlowEvent2024]:
 
-    Event          wall_time double = 1, step int64 = 2, file_version string = 3, summary = 5
+    Event          wall_time double = 1, step int64 = 2, file_version string = 3, summary = 5,
+                   session_log = 7
     Summary        value repeated = 1
     Summary.Value  tag string = 1, simple_value float = 2
+    SessionLog     status enum = 1 (START = 1: what other files have from this step on is void)
 
 TensorBoard itself is no dependency: its package brings a web server, and this is all that is
 needed of it.
@@ -39,6 +41,11 @@ class EventFile:
         """Nothing is written yet."""
         self._folder = folder
         self._path: Path | None = None
+        self._began = b""
+
+    def begin_again(self, step: int) -> None:
+        """Have TensorBoard leave out what files of earlier calls hold from a step on."""
+        self._began = record(_at(time.time(), step) + field(7, BYTES, field(1, VARINT, varint(1))))
 
     def add(self, step: int, values: Mapping[str, float]) -> None:
         """Add the finite ones of some scalars, which a step has."""
@@ -50,7 +57,8 @@ class EventFile:
             self._folder.mkdir(parents=True, exist_ok=True)
             self._path = self._folder / name
             version = field(3, BYTES, VERSION.encode())
-            records = record(field(1, EIGHT_BYTES, struct.pack("<d", now)) + version) + records
+            first = record(field(1, EIGHT_BYTES, struct.pack("<d", now)) + version)
+            records = first + self._began + records
         with self._path.open("ab") as handle:
             handle.write(records)
 
@@ -71,11 +79,12 @@ def event(wall_time_s: float, step: int, values: Mapping[str, float]) -> bytes:
         )
         for tag, value in values.items()
     )
-    return (
-        field(1, EIGHT_BYTES, struct.pack("<d", wall_time_s))
-        + field(2, VARINT, varint(step))
-        + field(5, BYTES, summary)
-    )
+    return _at(wall_time_s, step) + field(5, BYTES, summary)
+
+
+def _at(wall_time_s: float, step: int) -> bytes:
+    """The fields of an `Event` that state when it was."""
+    return field(1, EIGHT_BYTES, struct.pack("<d", wall_time_s)) + field(2, VARINT, varint(step))
 
 
 def crc32c(data: bytes) -> int:

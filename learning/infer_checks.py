@@ -77,14 +77,19 @@ def require_size(rows: int, columns: int, where: str | Path) -> None:
         )
 
 
+def same_aspect(rows: int, columns: int, like: tuple[int, int]) -> bool:
+    """Whether a texture is as high for its width as another one, (h, w), but for rounding."""
+    high, wide = like
+    return abs(rows * wide / (columns * high) - 1) <= ASPECT_OFF
+
+
 def require_aspect(rows: int, columns: int, like: tuple[int, int], where: str | Path) -> None:
     """MapsError where a texture is not as high for its width as those trained on, (h, w)."""
-    high, wide = like
-    if not abs(rows * wide / (columns * high) - 1) <= ASPECT_OFF:
+    if not same_aspect(rows, columns, like):
         raise MapsError(
             where,
             found=f"{rows} x {columns} texels",
-            expected=f"rows : columns = {high} : {wide}, as the textures trained on",
+            expected=f"rows : columns = {like[0]} : {like[1]}, as the textures trained on",
             hint="Is it part of an atlas, or another template's? Texels would be elsewhere on "
             "the head.",
         )

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from learning.domain.config import DomainConfig
+from learning.networks.discriminator import DiscriminatorConfig
 from learning.networks.generator import GeneratorConfig
 from learning.networks.whole_face import WholeFaceConfig
 from learning.photo.config import FitConfig
@@ -164,8 +165,10 @@ LIMITS: dict[str, tuple[float, float]] = {
     "score_patches": (1, 1_000_000),
 }
 """Smallest and largest value of each number; of a pair, of both, the first not above the second."""
+LEAST_SHADOW_ROWS = 16
+"""Rows of a grid that still has the shape of a head."""
 MOST_WEIGHTS = 4e9
-"""Weights of a generator, at most: 16 GB of float32."""
+"""Weights of a network, at most: 16 GB of float32."""
 
 
 def require_within(config: Any, where: str | Path, table: str = "") -> None:
@@ -198,13 +201,15 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
         _require_channels(config, where)
     if isinstance(config, OcclusionNetworkConfig):
         _require_blocks(config, where)
-    if isinstance(config, GeneratorConfig):
-        _require_size(config, where)
+    if isinstance(config, GeneratorConfig | DiscriminatorConfig | WholeFaceConfig | RcanConfig):
+        _require_size(config, where, table)
     if isinstance(config, FitConfig):
         _require_fit(config, where)
     if hasattr(config, "generator") and hasattr(config, "data"):
         _require_patch(config.data.patch_px, config.generator, where)
+        _require_shadows(config.data.shadow_rows, where)
         _require_losses(config, where)
+        _require_skin_alone(config.augment.beside, where)
 
 
 def configured(
@@ -356,17 +361,29 @@ def _require_channels(config: RcanConfig, where: str | Path) -> None:
         )
 
 
-def _require_size(config: GeneratorConfig, where: str | Path) -> None:
-    """The largest layers alone: two 3 x 3 convolutions a block at the network's narrowest place."""
-    widest = config.width * 2**config.downsamplings
-    weights = 9.0 * widest**2 * (2 * config.global_blocks + 1)
+def _require_size(config: Any, where: str | Path, table: str) -> None:
+    """By the largest layers alone: a network at its narrowest place, or all of its blocks."""
+    if isinstance(config, GeneratorConfig):
+        widest = config.width * 2**config.downsamplings
+        weights = 9.0 * widest**2 * (2 * config.global_blocks + 1)
+        hint = "Lower width, downsamplings or global_blocks."
+    elif isinstance(config, DiscriminatorConfig):
+        weights = 16.0 * (8 * config.width) ** 2 * config.layers * config.scales
+        hint = "Lower width, layers or scales."
+    elif isinstance(config, WholeFaceConfig):
+        # 2.5 convolutions of the widest with nine places, and a third as much at larger sizes.
+        weights = (30.0 + config.heads) * (config.width * 2**config.halvings) ** 2
+        hint = "Lower width, halvings or heads."
+    else:
+        weights = 18.0 * config.width**2 * config.groups * config.blocks
+        hint = "Lower width, groups or blocks."
     if weights > MOST_WEIGHTS:
         raise ConfigError(
             where,
-            field="generator",
+            field=table,
             found=f"about {weights / 1e9:.0f} thousand million weights",
             expected=f"at most {MOST_WEIGHTS / 1e9:.0f}",
-            hint="Lower width, downsamplings or global_blocks.",
+            hint=hint,
         )
 
 
@@ -381,6 +398,29 @@ def _require_patch(patch_px: int, generator: GeneratorConfig, where: str | Path)
             found=str(patch_px),
             expected=f"a multiple of {multiple}, at least {least}",
             hint=f"The generator halves a patch {counted(multiple.bit_length() - 1, 'time')}.",
+        )
+
+
+def _require_shadows(rows: int, where: str | Path) -> None:
+    """A head of a few rows is all in its own shadow, or casts none."""
+    if 0 < rows < LEAST_SHADOW_ROWS:
+        raise ConfigError(
+            where,
+            field="data.shadow_rows",
+            found=str(rows),
+            expected=f"0 for no shadows, or {LEAST_SHADOW_ROWS} or more",
+        )
+
+
+def _require_skin_alone(beside: float, where: str | Path) -> None:
+    """Patches show nothing but skin, so that what else a person has cannot differ in them."""
+    if beside:
+        raise ConfigError(
+            where,
+            field="augment.beside",
+            found=f"{beside:g}",
+            expected="0 for networks of patches, which are shown skin alone",
+            hint="Leave it out; whole faces have eyes and hair.",
         )
 
 

@@ -12,7 +12,7 @@ METRICS, RATE = "metrics.jsonl", "learning_rate"
 """The file's name, and what every line of a step has among its losses."""
 
 
-def drop_lost_lines(path: Path, first: int) -> None:
+def drop_lost_lines(path: Path, first: int) -> bool:
     """Leave out of a run's metrics what is of no step that its checkpoint has.
 
     A training that was killed logged steps after its last checkpoint, which are taken again, and
@@ -21,13 +21,18 @@ def drop_lost_lines(path: Path, first: int) -> None:
     Args:
         path: of the metrics, one JSON object a line.
         first: step with which the run is resumed.
+
+    Returns:
+        Whether there was any.
     """
     if not path.exists():
-        return
+        return False
     lines = path.read_bytes().splitlines(keepends=True)
     kept = [line for line in lines if _is_before(line, first)]
-    if len(kept) < len(lines):
-        write_bytes(path, b"".join(kept))
+    if len(kept) == len(lines):
+        return False
+    write_bytes(path, b"".join(kept))
+    return True
 
 
 def _is_before(line: bytes, first: int) -> bool:

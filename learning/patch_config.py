@@ -21,7 +21,8 @@ class PatchConfig(TrainingConfig):
         generator: the generator's size.
         discriminator: the discriminators' size.
         data: the patches that are trained on.
-        epochs: number of passes over the patches.
+        epochs: number of steps, as that of passes over the patches; each step draws its patches at
+            random.
         steps: number of steps, in place of `epochs`.
         beta1: Adam's decay of the mean gradient.
         beta2: Adam's decay of the mean squared gradient.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from learning.config import TrainingConfig
@@ -81,6 +82,24 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
     "mesostructure": {},
 }
+
+
+LENGTHS = ("seconds", "steps", "epochs")
+"""How long a training is: the first of these that is there counts alone."""
+
+
+def require_one_length(overrides: dict[str, Any], where: str | Path) -> None:
+    """Refuse a file that states a training's length twice, of which one would do nothing."""
+    found = [name for name in LENGTHS if name in overrides]
+    if len(found) > 1:
+        raise ConfigError(
+            where,
+            field=", ".join(found),
+            found=", ".join(str(overrides[name]) for name in found),
+            expected=f"one of {', '.join(LENGTHS)}",
+            hint=f"{found[0]} would count alone; leave out the others. --seconds counts in place "
+            "of any.",
+        )
 
 
 def preset(name: str, overrides: dict[str, Any], where: str) -> TrainingConfig:

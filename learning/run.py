@@ -31,6 +31,7 @@ from learning.guard import LEAP, LEAP_FROM_FIRST, WINDOW, Guard
 from learning.metrics_file import METRICS, drop_lost_lines
 from learning.processes import ALONE, Processes
 from learning.resuming import require_same_run
+from learning.same_scans import require_other_scans
 from learning.samples import Sample, write_samples
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
@@ -166,6 +167,9 @@ class Run:
                     with self.clock.part(NETWORK):
                         losses = self._mean(learner.step(step, done))
                     finished, whole = step + 1, True
+                    if step == self.first:
+                        # It compiles loops, for a minute on a busy machine.
+                        self.clock.first_seconds = self.clock.step_seconds
                     if not all(map(math.isfinite, losses.values())):
                         raise self._astray(learner, step, f"losses {losses}", "finite ones")
                     if guard.leapt(losses[learner.watched]):
@@ -222,7 +226,8 @@ class Run:
     def _drop_lost(self) -> None:
         """Remove the curves of steps that no checkpoint has."""
         if (self.out / INDEX).exists():
-            drop_lost_lines(self.out / METRICS, self.first)
+            if drop_lost_lines(self.out / METRICS, self.first) and self.events is not None:
+                self.events.begin_again(self.first)
             return
         # Of a run that ended before its first checkpoint: its curves are not this one's.
         for path in (self.out / METRICS, *self.out.glob(f"{EVENTS}*")):
@@ -257,9 +262,7 @@ class Run:
                 return
             yield step, done
             if step == self.first:
-                # The first step compiles loops, for a minute on a busy machine.
-                began = time.monotonic()
-                self.clock.first_seconds = self.clock.step_seconds
+                began = time.monotonic()  # what that compiled is no part of the time
             step += 1
             if seconds is None:
                 shown(step, total)
@@ -462,7 +465,7 @@ def split(store: Store, held_out: int) -> tuple[set[str], set[str]]:
     """People held out (the last by name) and people trained on.
 
     Raises:
-        TrainingError: not at least one of each, or maps of several sizes.
+        TrainingError: not at least one of each, maps of several sizes, or one's scans in both.
     """
     sizes = sorted({scan.rows for scan in store.scans})
     if len(sizes) > 1:
@@ -483,4 +486,6 @@ def split(store: Store, held_out: int) -> tuple[set[str], set[str]]:
             hint="Add people to the store, or lower held_out_subjects (at least 1); scans of one "
             "person all go to one side.",
         )
-    return set(people[-held_out:]), set(people[:-held_out])
+    apart, others = set(people[-held_out:]), set(people[:-held_out])
+    require_other_scans(store, others, apart)
+    return apart, others

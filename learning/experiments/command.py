@@ -198,6 +198,14 @@ def _require_request(request: ExperimentRequest) -> None:
         )
     if not 1 <= request.jobs <= MOST_JOBS:
         raise ConfigError("--jobs", found=str(request.jobs), expected=f"1 to {MOST_JOBS}")
+    elsewhere, here = request.scheduler is not None, "works on this machine alone."
+    for options, both, hint in (
+        ("--report, --prepare", request.report and request.prepare, "--report does nothing else."),
+        ("--prepare, --scheduler", request.prepare and elsewhere, f"--prepare {here}"),
+        ("--scheduler, --jobs", elsewhere and request.jobs > 1, f"--jobs {here}"),
+    ):
+        if both:
+            raise ConfigError(options, found="both", expected="one of them", hint=hint)
     least, most = BOUNDS["seeds"]
     if request.seeds is not None and not least <= request.seeds <= most:
         raise ConfigError("--seeds", found=str(request.seeds), expected=f"{least} to {most}")

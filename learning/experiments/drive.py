@@ -111,7 +111,7 @@ def _executor(jobs: int, scheduler: str | None) -> Iterator[Executor]:
     elif jobs == 1:
         yield Here()
     else:
-        with _threads(max(1, (os.cpu_count() or 1) // jobs)):
+        with _threads(max(1, len(os.sched_getaffinity(0)) // jobs)):
             context = multiprocessing.get_context("spawn")
             given = (os.getpid(),)
             with concurrent.futures.ProcessPoolExecutor(jobs, context, _begin, given) as pool:

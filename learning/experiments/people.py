@@ -10,14 +10,13 @@ import numpy as np
 from learning.errors import TrainingError
 from learning.experiments.config import ExperimentConfig
 from learning.experiments.variants import Variant
+from learning.same_scans import KNOWN, listed, require_other_scans
 from lightstage.counting import counted
 from processing.dataset import Scan, Store
 from processing.tones import ita_deg
 
 QUARTER = 0.25
 """Share of the people that a setting leaves out, by their tone or by chance."""
-NAMED = 6
-"""Names that a message gives, at most."""
 TRAINED, HELD_OUT = "a", "b"
 """Before people's names: a training holds out the last ones by name."""
 TONE_STEP = 4
@@ -136,42 +135,23 @@ def _require_known(store: Store, everyone: list[str], field: str, asked: tuple[s
         raise TrainingError(
             store.path,
             field=field,
-            found=_names(unknown),
-            expected=f"people of this store, such as {_names(everyone)}",
+            found=listed(unknown),
+            expected=f"people of this store, such as {listed(everyone)}",
         )
 
 
 def _require_apart(store: Store, trained: tuple[str, ...], held_out: tuple[str, ...]) -> None:
     """Refuse a person of whom a network would know what it is measured on."""
     both = sorted(set(trained) & set(held_out))
-    hint = "A network knows whom it was trained on: its figures on them do not hold for others."
     if both:
         raise TrainingError(
             store.path,
             field="train_names, held_out_names",
-            found=f"{_names(both)} in both",
+            found=f"{listed(both)} in both",
             expected="each person in one half",
-            hint=hint,
+            hint=KNOWN,
         )
-    whose = {scan.sha256: scan.subject for scan in store.scans if scan.subject in trained}
-    same = [
-        f"{whose[scan.sha256]} and {scan.subject}"
-        for scan in store.scans
-        if scan.subject in held_out and scan.sha256 and scan.sha256 in whose
-    ]
-    if same:
-        raise TrainingError(
-            store.path,
-            field="scans",
-            found=f"the same files of {_names(same)}, of whom one is trained on and one held out",
-            expected="each person in one half",
-            hint=hint,
-        )
-
-
-def _names(names: list[str]) -> str:
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(names[:NAMED]) + more
+    require_other_scans(store, trained, held_out)
 
 
 def _too_few(store: Store, found: int, held_out: int) -> TrainingError:

@@ -13,9 +13,11 @@ from torch import Tensor
 from learning.augment import AugmentConfig
 from learning.devices import CPU, device_of, moved
 from learning.encoding import srgb_from_linear
+from learning.errors import TrainingError
+from learning.infer_checks import same_aspect
 from learning.losses import masked_mean
 from learning.network_trainer import NetworkTrainer
-from learning.networks.whole_face import WholeFace, WholeFaceNetwork
+from learning.networks.whole_face import WholeFace, WholeFaceConfig, WholeFaceNetwork
 from learning.run import Run
 from learning.samples import MOST, Sample
 from learning.training import Task
@@ -95,6 +97,7 @@ def face_task(
     trained on, and the people held out are scored.
     """
     config = trainer.config
+    _require_aspect(config.network, store)
     rng, seed = np.random.default_rng([config.seed, 1]), config.seed
 
     def faces_of(
@@ -124,6 +127,19 @@ def face_task(
         return found, _samples(trained, scored, seed)
 
     return Task(faces.draw, config.steps, len(faces.faces), finish)
+
+
+def _require_aspect(size: WholeFaceConfig, store: Store) -> None:
+    """Refuse a network whose faces are wider or narrower than the maps: `infer` takes none such."""
+    rows, columns = store.scans[0].rows, store.scans[0].columns
+    if not same_aspect(rows, columns, (size.rows, size.columns)):
+        raise TrainingError(
+            "training",
+            field="network.rows, network.columns",
+            found=f"{size.rows} x {size.columns}",
+            expected=f"rows : columns = {rows} : {columns}, as {store.path} has its maps",
+            hint="Change both alike by --config.",
+        )
 
 
 def _samples(network: WholeFaceNetwork, held_out: Faces, seed: int) -> list[Sample]:

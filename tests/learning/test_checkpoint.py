@@ -131,6 +131,14 @@ def test_a_step_that_is_saved_again_and_killed_leaves_the_first_of_both(
         assert len(list((tmp_path / "run").glob("*.safetensors"))) == len(ROLES)
 
 
+def test_a_run_whose_name_has_a_full_stop_is_read_and_a_file_of_weights_is_not(run: Path) -> None:
+    named = run.rename(run.with_name("run.v2"))
+    assert read_checkpoint(named).step == read_checkpoint(named / INDEX).step == 1
+    weights = next(named.glob("generator-*.safetensors"))
+    with pytest.raises(CheckpointError, match=r"a file with the suffix '.safetensors'"):
+        read_checkpoint(weights)
+
+
 def test_damaged_checkpoints_are_refused(run: Path) -> None:
     weights = next(run.glob("generator-*.safetensors"))
     data = weights.read_bytes()

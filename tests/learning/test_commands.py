@@ -16,7 +16,6 @@ from lightstage.rig import Rig, default_rig, load_rig, save_rig
 from tests.learning.export.called import run
 
 TINY_TOML = """
-epochs = 1
 seconds = 0.3
 score_patches = 2
 [generator]
@@ -270,6 +269,20 @@ def test_a_folder_that_is_another_commands_is_refused_before_any_work(
         assert run(monkeypatch, *words, "--out", taken) == 2
         assert "expected a new folder, or one made by the same command" in capsys.readouterr().err
     assert [path.name for path in taken.iterdir()] == ["thesis.txt"]
+
+
+def test_a_configuration_that_states_a_trainings_length_twice_is_refused(
+    store_path: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "long.toml").write_text("steps = 30000\nseconds = 1.0\n")
+    words = ["train", "--data", store_path, "--out", tmp_path / "run"]
+    assert run(monkeypatch, *words, "--config", tmp_path / "long.toml") == 2
+    message = capsys.readouterr().err
+    assert "long.toml, seconds, steps: found 1.0, 30000, expected one of" in message
+    assert "seconds would count alone" in message
 
 
 def test_a_light_set_beside_a_configuration_without_a_table_of_lights_is_refused(

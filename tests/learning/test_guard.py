@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import ClassVar
 
 import numpy as np
@@ -100,6 +101,39 @@ def test_a_training_that_goes_astray_stops_and_keeps_the_batch(
     assert load_file(kept)["inputs"].mean() == at
 
 
+ABOUT = {
+    "held_out": [],
+    "config": {},
+    "data_fingerprint": "",
+    "texture_rows": 96,
+    "metrics": {},
+}
+
+
+def test_a_checkpoint_of_the_first_step_does_not_count_what_that_took_to_compile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Else a training by time that is killed then has no time left when it is resumed.
+    now = [0.0]
+    clock = SimpleNamespace(monotonic=lambda: now[0], perf_counter=lambda: now[0])
+    monkeypatch.setattr("learning.run.time", clock)
+    monkeypatch.setattr("learning.clock.time", clock)
+    kept = []
+
+    class Slow(Astray):
+        def step(self, number: int, done: float) -> dict[str, float]:
+            now[0] += 1.0 if number else 170.0
+            return super().step(number, done)
+
+    def look(_: int, __: int) -> None:
+        kept.append(read_checkpoint(tmp_path / "run").step_seconds)
+
+    Run(tmp_path / "run", WholeTrainConfig(save_seconds=0), ABOUT, 0, 0.0).steps(
+        Slow([1.0] * 3), 3, look
+    )
+    assert kept == [0.0, 1.0, 2.0]
+
+
 class Spoilt(Astray):
     """A network whose weights are NaN from a step on, whose loss is finite."""
 
@@ -119,14 +153,7 @@ class Spoilt(Astray):
 
 def test_weights_that_are_nan_never_replace_the_last_whole_checkpoint(tmp_path: Path) -> None:
     out = tmp_path / "run"
-    about = {
-        "held_out": [],
-        "config": {},
-        "data_fingerprint": "",
-        "texture_rows": 96,
-        "metrics": {},
-    }
-    run = Run(out, WholeTrainConfig(save_seconds=0), about, 0, 0.0)
+    run = Run(out, WholeTrainConfig(save_seconds=0), ABOUT, 0, 0.0)
     with pytest.raises(TrainingError, match=r"step 6: found NaN .* in training, weight, .* kept"):
         run.steps(Spoilt(6), 20)
     checkpoint = read_checkpoint(out)

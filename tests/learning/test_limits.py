@@ -109,9 +109,33 @@ def test_a_patch_is_taken_exactly_where_the_generator_takes_it(patch_px, downsam
             require_within(config, "run.toml")
 
 
-def test_a_network_that_no_machine_holds_is_refused_before_it_is_built():
-    with pytest.raises(ConfigError, match="thousand million weights"):
-        preset("paper", {"generator": {"width": 1024, "downsamplings": 8}}, "run.toml")
+@pytest.mark.parametrize(
+    ("name", "table", "size"),
+    [
+        ("paper", "generator", {"width": 1024, "downsamplings": 8}),
+        ("demo", "discriminator", {"width": 1024, "layers": 8, "scales": 8}),
+        ("modern", "network", {"width": 512, "halvings": 6, "rows": 960, "columns": 640}),
+        ("rcan", "network", {"width": 512, "groups": 64, "blocks": 256}),
+    ],
+)
+def test_a_network_that_no_machine_holds_is_refused_before_it_is_built(name, table, size):
+    with pytest.raises(ConfigError, match=f"{table}: found about .* thousand million weights"):
+        preset(name, {table: size}, "run.toml")
+
+
+def test_shadows_are_baked_on_as_many_rows_as_a_head_needs_or_not_at_all():
+    for rows in (1, 15):
+        with pytest.raises(ConfigError, match=f"data.shadow_rows: found {rows}, expected 0 for no"):
+            preset("demo", {"data": {"shadow_rows": rows}}, "run.toml")
+    for rows in (0, 16):
+        preset("demo", {"data": {"shadow_rows": rows}}, "run.toml")
+
+
+def test_networks_of_patches_refuse_a_variation_of_eyes_and_hair_that_they_are_never_shown():
+    for name in ("demo", "avatarme"):
+        with pytest.raises(ConfigError, match=r"augment.beside: found 0.5, expected 0 for"):
+            preset(name, {"augment": {"beside": 0.5}}, "run.toml")
+    assert preset("modern", {"augment": {"beside": 0.5}}, "run.toml").augment.beside == 0.5
 
 
 def test_a_rendering_loss_may_have_no_environment_but_the_input_s_own():

@@ -20,6 +20,7 @@ from learning.train import train
 from learning.whole.config import WholeTrainConfig
 from lightstage.errors import DiskError
 from processing.dataset import open_store
+from tests.learning.test_event_file import fields, records
 from tests.learning.test_training import TINY
 
 
@@ -75,8 +76,13 @@ def test_a_run_that_is_resumed_logs_each_step_once_though_it_was_killed(
     # As `kill -9` leaves it: steps after the checkpoint, the score of an end that was not saved.
     lost = [{"step": 2, "learning_rate": 1.0}, {"step": 5, "learning_rate": 1.0}, {"step": 6}]
     metrics.write_bytes(kept + b"".join(json.dumps(line).encode() + b"\n" for line in lost))
+    before = set(out.glob("events.*"))
     train(open_store(store_path), out, TINY, resume=True)
     assert metrics.read_bytes().startswith(kept)
+    # What earlier files have from step 2 on is void to TensorBoard.
+    (resumed,) = set(out.glob("events.*")) - before
+    start = dict(fields(records(resumed.read_bytes())[1]))
+    assert (start[2], start[7]) == (2, b"\x08\x01")
     assert steps_of(metrics) == [0, 1, 2, 3, 4, 5, 6]
     # The score at the end of a run stays where the run is resumed from its end.
     train(open_store(store_path), out, TINY, resume=True)

@@ -24,7 +24,7 @@ from learning.losses import RenderNorm, maps_loss, rendering_loss
 from learning.networks.discriminator import DiscriminatorConfig
 from learning.networks.generator import Generator, GeneratorConfig
 from learning.patch_config import TrainConfig
-from learning.patch_light import Scene
+from learning.patch_light import Scene, sampled
 from learning.patch_train import PatchTrainer
 from learning.presets import PRESETS, preset
 from learning.render.environments import (
@@ -150,13 +150,31 @@ def test_the_whole_albedos_target_has_the_whole_textures_own_outline(store_path:
     assert shown[8:].all()
 
 
+def test_a_patch_has_the_part_of_a_faces_pattern_that_the_whole_texture_shows_there(
+    store_path: Path,
+) -> None:
+    data = patches(store_path)
+    place = (0, 32, 16)
+    box, size = (32 / 96, 16 / 64, 32 / 96, 32 / 64), 32
+    pattern = torch.from_numpy(np.random.default_rng(0).normal(size=(1, 3, 6, 4))).float()
+    patterned = augment.Variation((1.0, 1.0, 1.0), 30.0, 0.5, pattern)
+    one, gains = torch.ones(1, 1, size, size), []
+    for region, part in ((data.patch(place), box), (data._whole[0], (0.0, 0.0, 1.0, 1.0))):
+        region.maps["diffuse_albedo"].fill_(1e-3)  # so that no gain brings it to 1
+        gains.append(1e3 * region.skin(patterned, one, part).diffuse_albedo)
+    # The whole texture is shrunk to the patch's size.
+    off = gains[0].log() - sampled(gains[1], box, size).log()
+    assert gains[0].log().std() > 0.3
+    assert off.abs().mean() < 0.02
+
+
 def test_other_complexions_leave_what_is_no_skin_as_it_is(store_path: Path) -> None:
     data = patches(store_path)
     region = data.patch(data.places[0])
     region.maps["area"][..., 16:] = 0
     darker = augment.Variation((0.5, 0.4, 0.3), 30.0, 0.5)
     given, one = region.maps["diffuse_albedo"], torch.ones_like(region.maps["area"])
-    albedo = region.skin(darker, one).diffuse_albedo
+    albedo = region.skin(darker, one, (0.0, 0.0, 1.0, 1.0)).diffuse_albedo
     assert torch.equal(albedo[..., 16:], given[..., 16:])
     torch.testing.assert_close(albedo[:, 0, :, :16], 0.5 * given[:, 0, :, :16])
 
@@ -397,6 +415,10 @@ def test_people_are_split_never_patches(store_path: Path) -> None:
     for wrong in (0, 3):
         with pytest.raises(TrainingError, match="subjects: found 3"):
             split(store, wrong)
+    # One person's scan under two names.
+    same = dataclasses.replace(store.scans[2], sha256=store.scans[0].sha256)
+    with pytest.raises(TrainingError, match="the same files of person-0 and person-2, of whom one"):
+        split(dataclasses.replace(store, scans=(*store.scans[:2], same)), 1)
 
 
 def test_presets_resolve_and_refuse_unknown_names() -> None:

@@ -448,6 +448,16 @@ def test_scans_of_two_layouts_are_not_trained_on_together(
         faces_of(store)
 
 
+def test_a_network_of_other_proportions_than_the_maps_is_refused_before_it_is_trained(
+    store_path: Path, tmp_path: Path
+) -> None:
+    # `infer` takes no texture for it.
+    wide = dataclasses.replace(TINY, network=dataclasses.replace(SIZE, columns=48))
+    with pytest.raises(TrainingError, match=r"found 48 x 48, expected rows : columns = 96 : 64"):
+        train(open_store(store_path), tmp_path / "run", wide)
+    assert not (tmp_path / "run").exists()
+
+
 def test_the_modern_preset_refuses_what_cannot_be() -> None:
     modern = WholeTrainConfig(network=WholeFaceConfig(heads=8), batch=16)
     assert preset("modern", {}, "test") == modern

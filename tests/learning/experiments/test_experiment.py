@@ -19,7 +19,7 @@ from learning.errors import TrainingError
 from learning.experiments import command, work
 from learning.experiments.command import ExperimentRequest, experiment_command, left_line
 from learning.experiments.config import sized
-from learning.experiments.drive import run_all
+from learning.experiments.drive import THREADS, _executor, run_all
 from learning.experiments.held_out import FIGURES, measure, read_subjects
 from learning.experiments.lights import NAMES
 from learning.experiments.people import halves_of, store_of
@@ -51,6 +51,18 @@ def finished(store_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     facts = run(asked("ladder", out, store_path, only="single,modern,modern-refined"))
     assert (facts["finished"], facts["now"], facts["left"]) == (3, 3, 0)
     return out
+
+
+def test_runs_at_once_share_the_cores_that_this_process_may_use(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in THREADS:
+        monkeypatch.delenv(name, raising=False)
+    # Of a machine of 64 six are ours, as in a container or by SLURM.
+    monkeypatch.setattr("os.cpu_count", lambda: 64)
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(6)))
+    with _executor(3, None):
+        assert [os.environ[name] for name in THREADS] == ["2"] * len(THREADS)
 
 
 def test_a_ladder_leaves_figures_of_each_person_and_light_and_no_weights(finished: Path) -> None:
@@ -263,6 +275,9 @@ def test_two_experiments_in_one_folder_are_refused(
         ({"size": "huge"}, "--size"),
         ({"only": "single,double"}, "--only: found 'double'"),
         ({"jobs": 0}, "--jobs"),
+        ({"prepare": True, "report": True}, "--report, --prepare: found both"),
+        ({"prepare": True, "scheduler": "tcp://b:1"}, "--prepare, --scheduler: found both"),
+        ({"jobs": 2, "scheduler": "tcp://b:1"}, "--scheduler, --jobs: found both"),
         ({"seeds": 0}, "--seeds"),
         ({"stop_after": float("nan")}, "--stop-after"),
         ({"data": None}, "--data"),
