@@ -21,6 +21,8 @@ from processing.lighting.lights import PatternLights, octahedral_normals
 
 SHORT = 1e-9
 CENTRE = np.zeros(3)
+HEAD_MM = 80.0
+"""About how far from the stage's centre a head's surface is."""
 ASIDE_MM = 60.0
 """Places so far from the stage's centre show how mirror reflection changes over a head."""
 
@@ -93,12 +95,18 @@ def diffuse_shares(lights: PatternLights, camera: Camera) -> np.ndarray:
 def mirror_lights(lights: PatternLights, camera: Camera) -> PatternLights:
     """The lights as mirror reflection shows them to one camera, for the lobe alone.
 
+    Each lamp's share is that of the place where a head of usual size mirrors it.
+
     Args:
         lights: of patterns that are all polarised; a lamp that both banks light counts as
             vertical.
         camera: whose.
     """
-    shares = mirror_amplitudes(lights.position_mm, _vertical(lights), camera, CENTRE) ** 2
+    field = mirrored_of_lamps(lights, camera)
+    half = _unit(lights.position_mm) + _unit(camera.centre_mm)
+    # No facet mirrors a lamp that is straight behind the head.
+    facets = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), SHORT)
+    shares = (field[0] + np.einsum("ln,nl->l", HEAD_MM * facets, field[1:])) ** 2
     return dataclasses.replace(
         lights,
         weight=lights.weight * shares,

@@ -75,8 +75,8 @@ def separate(
         counted_px[camera_id] = count
         if albedo > 1:
             warnings.append(
-                f"{camera_id}: the median diffuse albedo is {albedo:,.1f}, more than a white's 1, so "
-                "that albedo and gloss are not the skin's; scale linear photographs so that a "
+                f"{camera_id}: the median diffuse albedo is {albedo:,.1f}, more than a white's 1, "
+                "so that albedo and gloss are not the skin's; scale linear photographs so that a "
                 "white under `full` reads 1, or calibrate colours"
             )
         pixels += count

@@ -242,6 +242,8 @@ def test_what_crossed_polarisers_leave_over_a_head_is_what_the_simulator_leaves(
     centre, found, known = field[0, number][front] ** 2, found[front, front], known[front, front]
     np.testing.assert_allclose(found, known, atol=0.005)
     assert found.mean() < 0.6 * centre.mean()
+    coarse = (mirror_lights(lights, camera).weight / lights.weight)[number][front]
+    np.testing.assert_allclose(coarse, known, atol=0.005)
 
 
 def test_shares_of_diffuse_light_are_what_the_simulator_lets_pass() -> None:
