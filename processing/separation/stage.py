@@ -85,15 +85,20 @@ def separate(
     if share > MOST_ILL_POSED:
         worst = max(ill_posed, key=lambda camera: ill_posed[camera])
         found = f"{100 * share:.0f} % of the face ill-posed ({worst}: {ill_posed[worst]:.0%})"
-        dim = _face_reading(out, worst)
+        dim, lost = _face_reading(out, worst), _lost_share(out, worst)
         fault = ProcessingError(
             out / "work" / "coarse",
             field="confidence",
             found=found,
             expected=f"at most {100 * MOST_ILL_POSED:g} %",
-            hint="Do the photographs show the patterns that session.json names, and do the rig's "
-            "lamps where it has them? `lightstage check SESSION` shows more. --force continues, "
-            "and the report then shows the maps.",
+            hint=(
+                f"{lost:.0%} of the face is clipped or no number in some photograph: expose less, "
+                "by what `full` shows, which clips first. "
+                if lost > MOST_ILL_POSED
+                else "Do the photographs show the patterns that session.json names, and do the "
+                "rig's lamps where it has them? `lightstage check SESSION` shows more. "
+            )
+            + "--force continues, and the report then shows the maps.",
         )
         if dim < DIM:
             warnings.append(
@@ -121,6 +126,12 @@ def _face_reading(out: Path, camera_id: str) -> float:
     """Median of what one camera's face reads under its brightest pattern, 1 = white."""
     shown = read_frames(out, camera_id).brightest()[read_foreground(out, camera_id)]
     return float(np.median(shown)) if len(shown) else 0.0
+
+
+def _lost_share(out: Path, camera_id: str) -> float:
+    """Share of one camera's face that some photograph shows clipped, or as no number."""
+    usable = read_frames(out, camera_id).valid[read_foreground(out, camera_id)]
+    return float(1 - usable.mean()) if len(usable) else 0.0
 
 
 def _warnings(lights: PatternLights, method: str) -> list[str]:

@@ -129,6 +129,19 @@ def test_a_dark_face_that_noise_hides_is_a_warning_that_asks_for_light(tmp_path)
     assert any("give more light or longer exposures" in warning for warning in warnings)
 
 
+def test_a_face_that_is_clipped_is_asked_for_less_exposure(tmp_path):
+    shots = photographs()
+    peak = max(float(shot["cam0"].max()) for shot in shots.values())
+    bright = {
+        name: {"cam0": np.minimum(2 * shot["cam0"] / peak, 1)} for name, shot in shots.items()
+    }
+    session, out = load_session(write_raw_session(tmp_path / "S", RIG, bright, COLOUR)), tmp_path
+    warnings = decode(session, out, FORCED_NOT)["warnings"]
+    assert [w for w in warnings if w.startswith("cam0: 100% of the face is clipped")]
+    with pytest.raises(ProcessingError, match=r"100% of the face is clipped .* expose less"):
+        separate(session, out, SeparateConfig())
+
+
 def test_photographs_in_another_unit_than_white_are_a_warning(tmp_path):
     warnings = {}
     for times in (0.005, 1, 12):
