@@ -11,6 +11,9 @@ import math
 import cv2
 import numpy as np
 
+NARROWEST_PX = 0.1
+"""A narrower Gaussian, as of sigma 0, leaves each pixel its own value: so does this one."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Evidence:
@@ -124,6 +127,7 @@ def pooled(values: np.ndarray, mask: np.ndarray, sigma_px: float) -> np.ndarray:
     image = np.zeros((rows, columns), np.float64)
     image[: mask.shape[0], : mask.shape[1]][mask] = values
     if block == 1:
+        sigma_px = max(sigma_px, NARROWEST_PX)
         blurred = cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT)
         return np.asarray(blurred[: mask.shape[0], : mask.shape[1]][mask], float)
     few = cv2.resize(image, (columns // block, rows // block), interpolation=cv2.INTER_AREA)

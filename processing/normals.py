@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numba import njit, prange
 
+from processing.albedo import NARROWEST_PX
 from processing.lighting.lights import OCTAHEDRON, octahedral_cell
 
 ILL_POSED = 1e-4
@@ -154,7 +155,7 @@ def blurred(values: np.ndarray, good: np.ndarray, mask: np.ndarray, sigma_px: fl
     """
     image = np.zeros((*mask.shape, values.shape[1] + 1), np.float32)
     image[mask] = np.column_stack([values, np.ones(len(values))]) * good[:, None]
-    border = cv2.BORDER_CONSTANT
+    border, sigma_px = cv2.BORDER_CONSTANT, max(sigma_px, NARROWEST_PX)
     planes = [cv2.GaussianBlur(p, (0, 0), sigma_px, borderType=border) for p in cv2.split(image)]
     weight = planes[-1][mask]
     safe = np.where(weight > 1e-6, weight, np.inf)

@@ -94,6 +94,8 @@ def decode(
         job = CameraJob(session, camera, frames, lit, dark, calibrated, factors, *shares)
         done = _Steps(progress, number * (len(lit) + len(dark)), steps)
         decoded[camera] = _decode_camera(job, out, config, missing, done)
+        if decoded[camera].clipped_share > WARN_CLIPPED:
+            warnings.append(f"{camera}: {decoded[camera].clipped_share:.0%} {CLIPPED_FACE}")
         contradictions = decoded[camera].sums["contradictions"]
         warnings += [f"forced: {one}" for one in contradictions]
     sums = {camera: one.sums for camera, one in decoded.items()}
@@ -119,6 +121,12 @@ def lit_patterns(session: Session) -> tuple[str, ...]:
     return tuple(p for p in session.file.sequence if session.levels(p).max() > 0)
 
 
+WARN_CLIPPED = 0.1
+"""Share of the foreground that may be clipped without a warning."""
+CLIPPED_FACE = (
+    "of the face is clipped or no number in some photograph, and gets no maps of its own; expose "
+    "less, by what `full` shows, which clips first"
+)
 NO_EXPOSURE = "no photograph has its exposure in its file, so all are taken to have the same"
 UNCALIBRATED = "No colour calibration: white balance from AsShotNeutral, albedo scale unknown."
 

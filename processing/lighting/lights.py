@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -247,9 +248,9 @@ def octahedral_normals(side: int = OCTAHEDRON) -> np.ndarray:
 
 @njit(cache=True)
 def octahedral_cell(x: float, y: float, z: float, side: int) -> int:
-    """Index of the grid's cell that a direction falls into; 0 for a zero direction."""
+    """Index of the grid's cell that a direction falls into; 0 for none, or one not finite."""
     total = abs(x) + abs(y) + abs(z)
-    if not total > 0:
+    if not (total > 0 and total < math.inf):
         return 0
     u, v = x / total, y / total
     if z < 0:
@@ -264,7 +265,7 @@ def octahedral_cell(x: float, y: float, z: float, side: int) -> int:
 
 @njit(parallel=True, cache=True)
 def cells_of(normals: np.ndarray) -> np.ndarray:
-    """(n,) each normal's cell of the octahedral grid; 0 for a zero one."""
+    """(n,) each normal's cell of the octahedral grid; 0 for a zero one, or one not finite."""
     out = np.zeros(len(normals), np.int64)
     for i in prange(len(normals)):
         out[i] = octahedral_cell(normals[i, 0], normals[i, 1], normals[i, 2], OCTAHEDRON)

@@ -17,26 +17,37 @@ import numpy as np
 
 from lightstage.rig import Camera
 from processing.lighting.interface import INDEX
-from processing.lighting.lights import PatternLights, cells_of, octahedral_normals
+from processing.lighting.lights import PatternLights, octahedral_normals
 
 SHORT = 1e-9
+CENTRE = np.zeros(3)
+HEAD_MM = 80.0
+"""About how far from the stage's centre a head's surface is."""
+ASIDE_MM = 60.0
+"""Places so far from the stage's centre show how mirror reflection changes over a head."""
 
 
-def mirror_shares(directions: np.ndarray, vertical: np.ndarray, camera: Camera) -> np.ndarray:
-    """Share of each lamp's mirror reflection that passes a camera's polariser.
+def mirror_amplitudes(
+    lamps_mm: np.ndarray, vertical: np.ndarray, camera: Camera, point_mm: np.ndarray
+) -> np.ndarray:
+    """What of the field of each lamp's mirror reflection passes a camera's polariser.
 
     Args:
-        directions: (L, 3) unit, toward the lamps.
+        lamps_mm: (L, 3).
         vertical: (L,) bool, lamps of the vertical bank.
         camera: its polariser passes the field along its picture's columns.
+        point_mm: (3,) of the surface.
 
     Returns:
-        (L,) about 1 for the vertical bank and 0 for the horizontal one near the camera.
+        (L,) of either sign, changing smoothly with the point. Its square is the share of the light
+        that passes: about 1 for the vertical bank and 0 for the horizontal one near the camera.
 
     Source: [Baek2018] for the facet, [Ghosh2011] for lamps and lenses.
     """
-    view, upright = _lens(camera)
-    field = _fields(directions, vertical)
+    view, upright = _lens(camera, point_mm)
+    directions = _unit(lamps_mm - point_mm)
+    field = _fields(_unit(lamps_mm), vertical)
+    field = _unit(field - _dot(field, directions)[:, None] * directions)
     s = np.cross(directions, view)
     # Light straight back has no plane of incidence; every one gives the same.
     length = np.linalg.norm(s, axis=1, keepdims=True)
@@ -47,7 +58,7 @@ def mirror_shares(directions: np.ndarray, vertical: np.ndarray, camera: Camera) 
     r_s = (cosine - INDEX * inside) / (cosine + INDEX * inside)
     r_p = (INDEX * cosine - inside) / (INDEX * cosine + inside)
     passed = _dot(field, s) * r_s * (s @ upright) + _dot(field, p_in) * r_p * (p_out @ upright)
-    return np.asarray(passed**2 / ((r_s**2 + r_p**2) / 2))
+    return np.asarray(passed / np.sqrt((r_s**2 + r_p**2) / 2))
 
 
 def diffuse_shares(lights: PatternLights, camera: Camera) -> np.ndarray:
@@ -68,8 +79,8 @@ def diffuse_shares(lights: PatternLights, camera: Camera) -> np.ndarray:
     Source: [Baek2018].
     """
     normals = octahedral_normals()
-    view, upright = _lens(camera)
-    directions, vertical = _lamps(lights)
+    view, upright = _lens(camera, CENTRE)
+    directions, vertical = _unit(lights.position_mm), _vertical(lights)
     field = _fields(directions, vertical)
     cosine = np.maximum(normals @ directions.T, 0)  # (cells, L)
     across = _share(np.cross(normals[:, None], directions[None]), field[None])
@@ -84,13 +95,18 @@ def diffuse_shares(lights: PatternLights, camera: Camera) -> np.ndarray:
 def mirror_lights(lights: PatternLights, camera: Camera) -> PatternLights:
     """The lights as mirror reflection shows them to one camera, for the lobe alone.
 
+    Each lamp's share is that of the place where a head of usual size mirrors it.
+
     Args:
         lights: of patterns that are all polarised; a lamp that both banks light counts as
             vertical.
         camera: whose.
     """
-    directions, vertical = _lamps(lights)
-    shares = mirror_shares(directions, vertical, camera)
+    field = mirrored_of_lamps(lights, camera)
+    half = _unit(lights.position_mm) + _unit(camera.centre_mm)
+    # No facet mirrors a lamp that is straight behind the head.
+    facets = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), SHORT)
+    shares = (field[0] + np.einsum("ln,nl->l", HEAD_MM * facets, field[1:])) ** 2
     return dataclasses.replace(
         lights,
         weight=lights.weight * shares,
@@ -100,45 +116,54 @@ def mirror_lights(lights: PatternLights, camera: Camera) -> PatternLights:
 
 
 def mirrored_of_lamps(lights: PatternLights, camera: Camera) -> np.ndarray:
-    """(L,) share of each lamp's mirror reflection that reaches a camera: 1 without polarisers."""
-    if not lights.polarised:
-        return np.ones(len(lights.weight))
-    return mirror_shares(*_lamps(lights), camera)
+    """What of the field of each lamp's mirror reflection reaches a camera, over a head.
 
+    Crossed polarisers leave little, which changes by its half over a head: what passes at the
+    stage's centre is too much for a head's surface.
 
-def undo_polariser_loss(
-    rgb: np.ndarray, lights: PatternLights, camera: Camera, normals: np.ndarray
-) -> None:
-    """Rescale readings in place to those of polarisers that pass half of all diffuse light.
-
-    Args:
-        rgb: (n, P, 3).
-        lights: of P patterns; where they are not polarised nothing is done.
-        camera: whose readings they are.
-        normals: (n, 3) unit, about.
+    Returns:
+        (4, L) at the stage's centre, and how it changes a mm along x, y and z; its square is the
+        share of the light. 1 everywhere without polarisers.
     """
+    out = np.zeros((4, len(lights.weight)))
+    out[0] = 1
     if lights.polarised:
-        shares = diffuse_shares(lights, camera).astype(np.float32)
-        rgb /= shares[cells_of(normals)][:, :, None]
+        lamps = lights.position_mm, _vertical(lights), camera
+        out[0] = mirror_amplitudes(*lamps, CENTRE)
+        for axis, aside in enumerate(ASIDE_MM * np.eye(3)):
+            change = mirror_amplitudes(*lamps, aside) - mirror_amplitudes(*lamps, -aside)
+            out[1 + axis] = change / (2 * ASIDE_MM)
+    return out
+
+
+def diffuse_of_normals(lights: PatternLights, camera: Camera) -> np.ndarray:
+    """(cells, P) share of the diffuse light of each normal, by the cells of the octahedral grid,
+    that reaches a camera; (1, P) ones for all normals without polarisers.
+    """
+    if not lights.polarised:
+        return np.ones((1, len(lights.patterns)))
+    return diffuse_shares(lights, camera) * lights.diffuse_share
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(np.einsum("nk,nk->n", a, b))
 
 
-def _lamps(lights: PatternLights) -> tuple[np.ndarray, np.ndarray]:
-    """(L, 3) unit, toward the lamps, and (L,) bool, those of the vertical bank."""
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+def _vertical(lights: PatternLights) -> np.ndarray:
+    """(L,) bool, the lamps of the vertical bank."""
     parallel = np.array([name.endswith("@parallel") for name in lights.patterns])
-    vertical = (lights.strength[parallel] > 0).any(axis=0)
-    return lights.position_mm / lights.radius_mm[:, None], vertical
+    return np.asarray((lights.strength[parallel] > 0).any(axis=0))
 
 
-def _lens(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """(3,) unit, toward the camera, and (3,) unit, the field that its lens passes."""
-    view = camera.centre_mm / np.linalg.norm(camera.centre_mm)
+def _lens(camera: Camera, point_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) unit, from a point toward the camera, and (3,) unit, the field that its lens passes."""
+    view = _unit(camera.centre_mm - point_mm)
     down = camera.cam_from_world[1, :3]
-    upright = (down @ view) * view - down
-    return view, upright / np.linalg.norm(upright)
+    return view, _unit((down @ view) * view - down)
 
 
 def _fields(directions: np.ndarray, vertical: np.ndarray) -> np.ndarray:

@@ -54,8 +54,9 @@ class Place:
         shadows: lights that each sees.
         bounced: (V, P, 3) float32 irradiance at the shadows' vertices by light from other skin;
             (0, P, 3) where there is none.
-        mirrored: (L,) share of each lamp's mirror reflection that reaches the camera: 1 without
-            polarisers.
+        mirrored: (4, L) of `polarisers.mirrored_of_lamps`.
+        diffuse: (cells, P) share of the diffuse light of each normal, by the cells of the
+            octahedral grid, that reaches the camera; (1, P) where it is the same for all.
     """
 
     points_mm: np.ndarray
@@ -63,6 +64,7 @@ class Place:
     shadows: Shadows
     bounced: np.ndarray
     mirrored: np.ndarray
+    diffuse: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -199,7 +201,7 @@ def spread_of(noise: Noise, scattered: Scattered) -> Spread:
 
 def lamps_of(lights: PatternLights, place: Place, interface: Interface) -> Lamps:
     """What `joint_light.gather` takes of the stage."""
-    stray = lights.stray * lights.diffuse_share[:, None, None]
+    stray = lights.stray
     seen = compiled(lights, place.shadows)
     count = len(seen.weight)
     missing = max(0, LANES - count)
@@ -220,7 +222,7 @@ def lamps_of(lights: PatternLights, place: Place, interface: Interface) -> Lamps
         chunks=chunks_of(seen.group_end),
         group=group,
         exponent=seen.exponent,
-        diffuse_share=lights.diffuse_share.astype(np.float32),
+        diffuse=np.ascontiguousarray(place.diffuse, np.float32),
         mirrored=padded(place.mirrored.astype(np.float32)),
         stray=(stray if stray.any() else stray[:0]).astype(np.float32),
         bounced=place.bounced,

@@ -30,7 +30,7 @@ from processing.lanes import (
 )
 from processing.lighting.facets import STEEPEST, horizontal, unmasked
 from processing.lighting.interface import let_through, row_of
-from processing.lighting.lights import off_axis
+from processing.lighting.lights import OCTAHEDRON, octahedral_cell, off_axis
 from processing.lighting.lobe import GRAZING
 
 SUMS = 8
@@ -69,10 +69,9 @@ class Lamps(NamedTuple):
             of several.
         group: (L,) int64 of each light.
         exponent: as of `PatternLights`.
-        diffuse_share: (P,) float32, as of `PatternLights`.
-        mirrored: (L,) float32 share of each lamp's mirror reflection that reaches the camera.
-        stray: (P, 3, 4) float32, what a camera's polariser leaves of it; (0, 3, 4) where there is
-            none.
+        diffuse: (cells, P) float32, as of `Place`.
+        mirrored: (4, L) float32, as of `Place`.
+        stray: (P, 3, 4) float32, as of `PatternLights`; (0, 3, 4) where there is none.
         bounced: (V, P, 3) float32 irradiance by light from other skin; (0, P, 3) where there is
             none.
         table: of `lobe.fresnel_table`.
@@ -88,7 +87,7 @@ class Lamps(NamedTuple):
     chunks: np.ndarray
     group: np.ndarray
     exponent: np.float32
-    diffuse_share: np.ndarray
+    diffuse: np.ndarray
     mirrored: np.ndarray
     stray: np.ndarray
     bounced: np.ndarray
@@ -288,7 +287,13 @@ def gather(
                 lobe = every(quarter) * _falling(steep) * per * per
             # Half of the half vector's length is its cosine to the camera.
             cosine = at_most(every(np.float32(0.5)) * length, ones)
-            lobe = lobe * load(mirrored, at) * between(table, cosine * most, steps)
+            passed = (
+                load(mirrored, at)
+                + every(point[0]) * load(mirrored, lights + at)
+                + every(point[1]) * load(mirrored, 2 * lights + at)
+                + every(point[2]) * load(mirrored, 3 * lights + at)
+            )
+            lobe = lobe * passed * passed * between(table, cosine * most, steps)
             steepness = every(widest2) * (ones - nl * nl) - every(UNSHADOWED) * nl * nl
             if tails or largest(where_above(seen, zeros, steepness, zeros)) > zero:
                 sideways = every(tx) * lx + every(tz) * lz
@@ -313,9 +318,12 @@ def gather(
                 _add(levels, lamps.group[j], load(ws, each + (j - at) * LANES), ws, sums)
     if before >= 0:
         _add(levels, before, whole, ws, sums)
+    # Polarisers change diffuse light as the normal turns, and what is mirrored lamp by lamp.
+    side = OCTAHEDRON if len(lamps.diffuse) > 1 else 1
+    reaching = lamps.diffuse[octahedral_cell(nx, ny, nz, side)]
     for k in range(patterns):
         own = sums + k * SUMS
-        matte = lamps.diffuse_share[k]
+        matte = reaching[k]
         b = ws[own + 3]
         out[k, 0] = matte * (ws[own] * nx + ws[own + 1] * ny + ws[own + 2] * nz)
         out[k, 4] = b
@@ -329,6 +337,7 @@ def gather(
             beside = lamps.stray[k, x, 3]
             for y in range(3):
                 beside += lamps.stray[k, x, y] * n[y]
+            beside *= reaching[k]
             out[k, 1 + x] += beside
             out[k, 0] += beside * n[x]
     if len(lamps.bounced) > 0:
@@ -339,4 +348,4 @@ def gather(
                     + w1 * lamps.bounced[corners[1], k, c]
                     + w2 * lamps.bounced[corners[2], k, c]
                 )
-                out[k, 9 + c] = lamps.diffuse_share[k] * inside * from_skin
+                out[k, 9 + c] = reaching[k] * inside * from_skin

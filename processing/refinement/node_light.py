@@ -120,7 +120,7 @@ def grid_kernel(
         good: (n,) bool, cleared where it is not determined.
         out: (n, P OF_PATTERN + OF_GRID) float32, all but the polynomials filled in.
     """
-    patterns = len(lamps.diffuse_share)
+    patterns = lamps.levels.shape[1]
     for i in prange(len(points)):
         own = out[i, patterns * OF_PATTERN :]
         sides = np.zeros((2, 3), np.float32)
@@ -182,7 +182,7 @@ def node_kernel(
         good: (n,) bool, set where a node has light.
         out: (n, P OF_PATTERN + OF_PLACE or more) float32.
     """
-    patterns = len(lamps.diffuse_share)
+    patterns = lamps.levels.shape[1]
     first = patterns * OF_PATTERN
     for i in prange(len(points)):
         top, left = rows[i] // step, columns[i] // step

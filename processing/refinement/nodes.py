@@ -220,6 +220,7 @@ def banded_nodes(
             Shadows(shadows.corners[some], shadows.weights[some], shadows.visible),
             scene.from_skin,
             knows.view.mirrored,
+            knows.view.diffuse,
         )
         mesh = sight.normals[some]
         others = np.column_stack([facing(mesh, place.views), sight.occlusion[some]])

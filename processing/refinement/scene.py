@@ -13,7 +13,7 @@ from processing.frames.read import Frames
 from processing.lighting.facets import BECKMANN, Facets
 from processing.lighting.interface import Interface, skin_interface
 from processing.lighting.lights import PatternLights, Shadows
-from processing.lighting.polarisers import mirrored_of_lamps, undo_polariser_loss
+from processing.lighting.polarisers import diffuse_of_normals, mirrored_of_lamps
 from processing.masks import edge_distance_px
 from processing.readings import px_per_mm, read_pixels
 from processing.refinement.config import RefineConfig
@@ -44,7 +44,8 @@ class View:
         saturation: (n,) of the sum over patterns.
         usable: (n,) bool: not clipped, not dark, finite, and not turned from the camera.
         px_per_mm: pixels a millimetre.
-        mirrored: (L,) see `joint.Place`.
+        mirrored: (4, L) see `joint.Place`.
+        diffuse: (cells, P) see there.
     """
 
     sight: Sight
@@ -53,6 +54,7 @@ class View:
     usable: np.ndarray
     px_per_mm: float
     mirrored: np.ndarray
+    diffuse: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -185,9 +187,15 @@ def read_sight(
         done, top = done + len(pixels), bottom
     rgb /= white.astype(np.float32)
     usable &= faces_camera(sight)
-    undo_polariser_loss(rgb, scene.lights, camera, sight.normals)
-    mirrored = mirrored_of_lamps(scene.lights, camera)
-    return View(sight, rgb, saturation, usable, px_per_mm(camera) / step, mirrored)
+    return View(
+        sight,
+        rgb,
+        saturation,
+        usable,
+        px_per_mm(camera) / step,
+        mirrored_of_lamps(scene.lights, camera),
+        diffuse_of_normals(scene.lights, camera),
+    )
 
 
 def faces_camera(sight: Sight) -> np.ndarray:
@@ -206,6 +214,7 @@ def place_of(scene: Scene, view: View, some: slice | np.ndarray = ALL) -> Place:
         Shadows(sight.shadows.corners[some], sight.shadows.weights[some], sight.shadows.visible),
         scene.from_skin,
         view.mirrored,
+        view.diffuse,
     )
 
 

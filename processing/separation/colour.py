@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from lightstage.rig import Camera
-from processing.albedo import shrunk
+from processing.albedo import NARROWEST_PX, shrunk
 from processing.lanes import LANES
 from processing.lighting.interface import skin_interface
 from processing.lighting.lights import PatternLights
@@ -224,6 +224,7 @@ def _blurred(image: np.ndarray, sigma_px: float, block: int) -> np.ndarray:
     sigma = sigma_px / block / times
     if block * times > 1:
         sigma = math.sqrt(max(sigma * sigma - 0.25, 0.01))
+    sigma = max(sigma, NARROWEST_PX)
     found = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
     if times > 1:
         size = (small[0] * times, small[1] * times)

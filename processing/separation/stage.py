@@ -26,6 +26,8 @@ MOST_ILL_POSED = 0.5
 DIM = 0.15
 """Median reading of the face under its brightest pattern, of white, below which noise and not
 patterns or lamps may be what hides the normals: dark skin reads about .07, light skin .4."""
+MEDIAN_PIXELS = 10_000
+"""About so many pixels of a view show the median of its albedo."""
 COLOUR_SPREAD = 0.02
 """Lights whose colours differ by more than this get a warning."""
 
@@ -53,41 +55,54 @@ def separate(
     method = chosen_method(lights, config)
     warnings += _warnings(lights, method)
 
-    def one(camera_id: str) -> tuple[float, float, int]:
+    def one(camera_id: str) -> tuple[float, float, int, float]:
         frames = read_frames(out, camera_id)
         mask = read_foreground(out, camera_id)
         camera = session.rig.camera(camera_id)
         maps = separate_view(method, frames, mask, camera, lights, config)
         write_coarse(out, camera_id, maps)
         found = maps.confidence
-        return float(found.mean()), float((found < 0.5).mean()), len(found)
+        some = maps.albedo[:: max(1, len(found) // MEDIAN_PIXELS)]
+        albedo = float(np.median(some[some.any(axis=1)])) if some.any() else 0.0
+        return float(found.mean()), float((found < 0.5).mean()), len(found), albedo
 
     sizes = [session.rig.camera(c).width_px * session.rig.camera(c).height_px for c in cameras]
     each = BYTES_A_PIXEL if method == "colour" else BYTES_OF_ARRAYS
     at_once = workers(each * max(sizes))
-    for camera_id, (mean, unsure, count) in over_views(one, cameras, at_once):
+    for camera_id, (mean, unsure, count, albedo) in over_views(one, cameras, at_once):
         confidence[camera_id] = round(mean, 4)
         ill_posed[camera_id] = round(unsure, 4)
         counted_px[camera_id] = count
+        if albedo > 1:
+            warnings.append(
+                f"{camera_id}: the median diffuse albedo is {albedo:,.1f}, more than a white's 1, "
+                "so that albedo and gloss are not the skin's; scale linear photographs so that a "
+                "white under `full` reads 1, or calibrate colours"
+            )
         pixels += count
         progress(len(confidence), len(cameras))
     share = sum(each * counted_px[camera] for camera, each in ill_posed.items()) / max(pixels, 1)
     if share > MOST_ILL_POSED:
         worst = max(ill_posed, key=lambda camera: ill_posed[camera])
         found = f"{100 * share:.0f} % of the face ill-posed ({worst}: {ill_posed[worst]:.0%})"
-        dim = _face_reading(out, worst)
+        dim, lost = _face_reading(out, worst), _lost_share(out, worst)
         fault = ProcessingError(
             out / "work" / "coarse",
             field="confidence",
             found=found,
             expected=f"at most {100 * MOST_ILL_POSED:g} %",
-            hint="Do the photographs show the patterns that session.json names, and do the rig's "
-            "lamps where it has them? `lightstage check SESSION` shows more. --force continues, "
-            "and the report then shows the maps.",
+            hint=(
+                f"{lost:.0%} of the face is clipped or no number in some photograph: expose less, "
+                "by what `full` shows, which clips first. "
+                if lost > MOST_ILL_POSED
+                else "Do the photographs show the patterns that session.json names, and do the "
+                "rig's lamps where it has them? `lightstage check SESSION` shows more. "
+            )
+            + "--force continues, and the report then shows the maps.",
         )
         if dim < DIM:
             warnings.append(
-                f"{found}: the face reads {dim:.2f} of white under its brightest pattern, so that "
+                f"{found}: the face reads {dim:.2g} of white under its brightest pattern, so that "
                 "noise hides part of the normals; give more light or longer exposures"
             )
         elif config.forced:
@@ -111,6 +126,12 @@ def _face_reading(out: Path, camera_id: str) -> float:
     """Median of what one camera's face reads under its brightest pattern, 1 = white."""
     shown = read_frames(out, camera_id).brightest()[read_foreground(out, camera_id)]
     return float(np.median(shown)) if len(shown) else 0.0
+
+
+def _lost_share(out: Path, camera_id: str) -> float:
+    """Share of one camera's face that some photograph shows clipped, or as no number."""
+    usable = read_frames(out, camera_id).valid[read_foreground(out, camera_id)]
+    return float(1 - usable.mean()) if len(usable) else 0.0
 
 
 def _warnings(lights: PatternLights, method: str) -> list[str]:

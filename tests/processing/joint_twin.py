@@ -9,7 +9,7 @@ import numpy as np
 from processing.lighting.facets import Facets
 from processing.lighting.fresnel import fresnel
 from processing.lighting.interface import ROUGHNESS_RANGE, Interface
-from processing.lighting.lights import PatternLights
+from processing.lighting.lights import PatternLights, cells_of
 from processing.refinement.joint import Noise
 
 STEP = 1e-6
@@ -29,6 +29,7 @@ class Pixel:
         kept: (3,).
         rest: (P, 3) what wanders here from neighbours.
         mirrored: (L,) share of each lamp's mirror reflection that the camera gets.
+        diffuse: (cells, P) share of each normal's diffuse light that the camera gets.
     """
 
     rgb: np.ndarray
@@ -41,6 +42,12 @@ class Pixel:
     kept: np.ndarray
     rest: np.ndarray
     mirrored: np.ndarray
+    diffuse: np.ndarray
+
+    def reaching(self, normal: np.ndarray) -> np.ndarray:
+        """(P,) share of the diffuse light of a normal that the camera gets."""
+        cell = cells_of(normal[None])[0] if len(self.diffuse) > 1 else 0
+        return np.asarray(self.diffuse[cell])
 
 
 def entering(interface: Interface, cosine: np.ndarray, roughness: float) -> np.ndarray:
@@ -119,7 +126,7 @@ class Light:
         base_nv = max(float(self.base @ pixel.view), 0.05)
         leaving = entering(self.interface, np.array(base_nv), own) / kept_mean(self.interface, own)
         enters = leaving * entering(self.interface, np.maximum(base_nl, 0), own)
-        e = strength @ (enters * (to_light @ normal))
+        e = strength @ (enters * (to_light @ normal)) * pixel.reaching(self.base)
         half = to_light + pixel.view
         half /= np.linalg.norm(half, axis=1, keepdims=True)
         base_nh = half @ self.base
@@ -160,7 +167,8 @@ class Light:
     def bounced(self) -> np.ndarray:
         """(P, 3) what the light from other skin adds to the irradiance."""
         nv = np.array(max(float(self.base @ self.pixel.view), 0.05))
-        return np.asarray(entering(self.interface, nv, self.pixel.roughness) * self.pixel.bounced)
+        inside = entering(self.interface, nv, self.pixel.roughness)
+        return np.asarray(inside * self.pixel.reaching(self.base)[:, None] * self.pixel.bounced)
 
 
 def albedo_of(diffuse: np.ndarray, rgb: np.ndarray, mirror: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ def view_of(mask: np.ndarray, rgb: np.ndarray, usable: np.ndarray) -> View:
     """A view of (h, w) pixels of which nothing but the readings matters."""
     nothing = np.zeros((len(rgb), 3))
     sight = Sight(mask, nothing, nothing, nothing, nothing[:, 0], None, np.zeros(mask.shape))  # type: ignore[arg-type]
-    return View(sight, rgb, np.zeros(len(rgb)), usable, 1.0, np.ones(1))
+    return View(sight, rgb, np.zeros(len(rgb)), usable, 1.0, np.ones((4, 1)), np.ones((1, 1)))
 
 
 def twin(view: View, side: int) -> np.ndarray:

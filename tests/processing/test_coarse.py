@@ -101,6 +101,14 @@ def test_confidence_is_that_of_the_light_however_it_is_stored() -> None:
         np.testing.assert_allclose(again, found, atol=1e-4)
 
 
+def test_a_sigma_of_0_leaves_each_pixel_its_own_specular_albedo() -> None:
+    config = dataclasses.replace(CONFIG, specular_pool_mm=0.0)
+    other, one = READ.copy(), int(np.flatnonzero(INNER)[600])
+    other[one, 1] *= 1.05
+    change = np.abs(maps_of(other, config).specular - maps_of(READ, config).specular)
+    assert np.flatnonzero(change > 1e-5).tolist() == [one]
+
+
 @given(power=st.floats(-6, 6), seed=st.integers(0, 100))
 @settings(max_examples=4, deadline=None)
 def test_float32_is_within_a_ten_thousandth_of_float64_at_any_scale(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from processing.decode.stage import decode
 from processing.errors import ProcessingError
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
+from tests.processing import lit_ball
 from tests.processing.made_raw import write_raw_session
 from tests.processing.test_decode import COLOUR, PATTERNS, RIG, photographs
 
@@ -125,6 +127,34 @@ def test_a_dark_face_that_noise_hides_is_a_warning_that_asks_for_light(tmp_path)
     warnings = separate(session, out, SeparateConfig())["warnings"]
     assert any("of white under its brightest pattern" in warning for warning in warnings)
     assert any("give more light or longer exposures" in warning for warning in warnings)
+
+
+def test_a_face_that_is_clipped_is_asked_for_less_exposure(tmp_path):
+    shots = photographs()
+    peak = max(float(shot["cam0"].max()) for shot in shots.values())
+    bright = {
+        name: {"cam0": np.minimum(2 * shot["cam0"] / peak, 1)} for name, shot in shots.items()
+    }
+    session, out = load_session(write_raw_session(tmp_path / "S", RIG, bright, COLOUR)), tmp_path
+    warnings = decode(session, out, FORCED_NOT)["warnings"]
+    assert [w for w in warnings if w.startswith("cam0: 100% of the face is clipped")]
+    with pytest.raises(ProcessingError, match=r"100% of the face is clipped .* expose less"):
+        separate(session, out, SeparateConfig())
+
+
+def test_photographs_in_another_unit_than_white_are_a_warning(tmp_path):
+    warnings = {}
+    for times in (0.005, 1, 12):
+        skin = lit_ball.Ball()
+        red, green, blue = (times * channel for channel in skin.albedo)
+        ball = dataclasses.replace(skin, albedo=(red, green, blue), specular=times * skin.specular)
+        session = load_session(lit_ball.write_session(ball, RIG, tmp_path / f"{times}"))
+        out = tmp_path / f"out{times}"
+        decode(session, out, FORCED_NOT)
+        warnings[times] = separate(session, out, SeparateConfig())["warnings"]
+    assert not warnings[1]
+    assert "the face reads 0.0022 of white" in warnings[0.005][0]
+    assert [each for each in warnings[12] if "cam0: the median diffuse albedo is 4" in each]
 
 
 def test_force_is_an_option_of_run_and_separate(tmp_path):

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from processing.lighting.facets import BECKMANN, Facets
 from processing.lighting.interface import Interface, skin_interface
-from processing.lighting.lights import Shadows
+from processing.lighting.lights import OCTAHEDRON, PatternLights, Shadows, cells_of
 from processing.lighting.lobe import transport
+from processing.lighting.polarisers import diffuse_of_normals, mirrored_of_lamps
 from processing.refinement.joint import (
     Given,
     Noise,
@@ -78,12 +79,30 @@ def light_of(
     roughness: np.ndarray,
     shadows: Shadows,
     mirrored: np.ndarray,
+    diffuse: np.ndarray,
     interface: Interface,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """E and B, the lobe of lamps of whose mirror reflection only a share arrives."""
-    stated = (points, normals, views, roughness, shadows, interface)
-    seen = dataclasses.replace(LIGHTS, weight=LIGHTS.weight * mirrored)
-    return transport(LIGHTS, *stated)[0], transport(seen, *stated)[1]
+    """E and B, of which only shares arrive."""
+    e, b = transport(LIGHTS, points, normals, views, roughness, shadows, interface)
+    if len(diffuse) == 1:
+        return e, b
+    e *= diffuse[cells_of(normals)]
+    for i, share in enumerate(shares_at(points, mirrored)):
+        seen = dataclasses.replace(LIGHTS, weight=LIGHTS.weight * share)
+        one = [x[i : i + 1] for x in (points, normals, views, roughness)]
+        b[i] = transport(seen, *one, shadows.of(np.array([i])), interface)[1][0]
+    return e, b
+
+
+def shares_at(points: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
+    """(n, L) share of each lamp's mirror reflection that arrives from (n, 3) points."""
+    return np.asarray((mirrored[0] + points @ mirrored[1:]) ** 2)
+
+
+def unpolarised(lights: PatternLights) -> tuple[np.ndarray, np.ndarray]:
+    """What of each lamp's reflection and of each normal's diffuse light reaches a camera: all."""
+    camera = RIG.cameras[0]
+    return mirrored_of_lamps(lights, camera), diffuse_of_normals(lights, camera)
 
 
 def skin(
@@ -113,19 +132,24 @@ def skin(
     patterns = len(PATTERNS)
     bounced = rng.uniform(0, 0.05, (count, patterns, 3)) * lit
     kept = rng.uniform(0.7, 1.0, 3) if lit else np.ones(3)
-    mirrored = rng.uniform(0, 1.2, len(LIGHTS.weight)) if polarised else np.ones(len(LIGHTS.weight))
-    e, b = light_of(points, normals, views, roughness, shadows, mirrored, interface)
+    mirrored, reaching = unpolarised(LIGHTS)
+    if polarised:
+        mirrored = rng.uniform(-1, 1, mirrored.shape) * [[1], [0.004], [0.004], [0.004]]
+        reaching = rng.uniform(0.4, 0.6, (OCTAHEDRON**2, patterns)).astype(np.float32)
+    e, b = light_of(points, normals, views, roughness, shadows, mirrored, reaching, interface)
     rest = (1 - kept) * e[:, :, None] * rng.uniform(0.9, 1.1, (count, patterns, 3))
     inside = [
         joint_twin.entering(interface, np.array(float(n @ v)), m)
         for n, v, m in zip(normals, views, roughness, strict=True)
     ]
-    diffuse = kept * e[:, :, None] + rest + np.array(inside)[:, None, None] * bounced
+    passed = np.broadcast_to(reaching, (OCTAHEDRON**2, patterns))[cells_of(normals)]
+    bounced_here = np.array(inside)[:, None, None] * passed[:, :, None] * bounced
+    diffuse = kept * e[:, :, None] + rest + bounced_here
     rgb = ALBEDO * diffuse + (specular[:, None] * b)[:, :, None]
     rgb = rgb + noise * rng.normal(size=rgb.shape)
     return Skin(
         rgb.astype(np.float32),
-        Place(points, views, shadows, bounced.astype(np.float32), mirrored),
+        Place(points, views, shadows, bounced.astype(np.float32), mirrored, reaching),
         across(normals, rng, off_deg),
         roughness,
         specular,
@@ -162,7 +186,8 @@ def pixels(s: Skin) -> list[Pixel]:
             s.place.bounced[i].astype(float),
             s.around.kept,
             s.around.rest[i].astype(float),
-            s.place.mirrored,
+            shares_at(s.place.points_mm[i], s.place.mirrored),
+            s.place.diffuse,
         )
         for i in range(len(s.rgb))
     ]
@@ -173,8 +198,9 @@ def test_the_twins_light_is_that_of_the_lobe(interface: Interface) -> None:
     s = skin(0, polarised=True, interface=interface)
     place = s.place
     e, b = light_of(
-        place.points_mm, s.start, place.views, s.roughness, place.shadows, place.mirrored, interface
-    )
+        place.points_mm, s.start, place.views, s.roughness, place.shadows,
+        place.mirrored, place.diffuse, interface,
+    )  # fmt: skip
     for i, pixel in enumerate(pixels(s)):
         light = joint_twin.Light(LIGHTS, pixel, interface, pixel.start)
         known_e, known_b = light.parts(pixel.start, pixel.roughness)

@@ -17,7 +17,7 @@ from processing.lighting.lobe import transport
 from processing.refinement.joint import Place, lamps_of
 from processing.refinement.joint_light import Lamps, chunks_of, gather
 from tests.processing.lit_ball import PATTERNS, nominal_lamps
-from tests.processing.test_joint import FAMILIES, LIGHTS, RIG, SEEDS, across
+from tests.processing.test_joint import FAMILIES, LIGHTS, RIG, SEEDS, across, unpolarised
 
 NO_BOUNCES = np.zeros((0, len(PATTERNS), 3), np.float32)
 WAYS = ("binary", "one by one", "linear", "three lamps", "beam")
@@ -65,7 +65,7 @@ def both(lights: PatternLights, seed: int, interface: Interface) -> tuple[np.nda
         (rng.uniform(size=(9, count)) < 0.6).astype(np.uint8),
     )
     known = transport(lights, points, normals, views, roughness, shadows, interface)
-    place = Place(points, views, shadows, NO_BOUNCES, np.ones(count))
+    place = Place(points, views, shadows, NO_BOUNCES, *unpolarised(lights))
     out = np.zeros((places, len(PATTERNS), 12), np.float32)
     single = [np.ascontiguousarray(x, np.float32) for x in (points, normals, views, roughness)]
     lamps = lamps_of(lights, place, interface)

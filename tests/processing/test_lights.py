@@ -25,6 +25,7 @@ from lightstage.rig import Rig, default_rig
 from processing.errors import ProcessingError
 from processing.lighting.lamps import NO_STRAY, Lamps, measured_rig, nominal_lamps
 from processing.lighting.lights import (
+    cells_of,
     far_field,
     irradiance_vectors,
     lights_of,
@@ -314,3 +315,8 @@ def test_lights_without_any_in_front_are_refused(tmp_path: Path) -> None:
     session = session_with(tmp_path, dataclasses.replace(known, rgb_gain=gains))
     with pytest.raises((ProcessingError, FormatError), match="faces \\+z"):
         pattern_lights(session, BINARY)
+
+
+def test_directions_that_are_none_are_in_the_first_cell() -> None:
+    none = [[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 0], [0, -np.inf, 1], [np.inf, -np.inf, 0]]
+    assert (cells_of(np.array(none)) == 0).all()

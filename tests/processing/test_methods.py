@@ -379,3 +379,13 @@ def test_photographs_that_a_method_does_not_use_change_nothing(method: str) -> N
     assert one.confidence.any()
     for field in dataclasses.fields(one):
         np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name))
+
+
+@pytest.mark.parametrize("case", ["linear", "polarised"])
+def test_a_sigma_of_0_leaves_each_pixel_its_own(case: str) -> None:
+    fit = dataclasses.replace(
+        SeparateConfig().linear, roughness_pool_mm=0.0, specular_pool_mm=0.0, detail_mm=0.0
+    )
+    maps = solved(case, SeparateConfig(linear=fit, polarised=fit))
+    assert np.isfinite(maps.specular).all()
+    assert np.ptp(maps.specular[INNER]) > 1e-6

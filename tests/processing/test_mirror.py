@@ -16,7 +16,12 @@ from lightstage.patterns import SEQUENCES
 from lightstage.rig import default_rig
 from processing.lighting.lights import PatternLights, cells_of, far_field, no_shadows
 from processing.lighting.lobe import transport
-from processing.lighting.polarisers import diffuse_shares, mirror_lights, mirror_shares
+from processing.lighting.polarisers import (
+    diffuse_shares,
+    mirror_amplitudes,
+    mirror_lights,
+    mirrored_of_lamps,
+)
 from processing.normals import solve_far_normals
 from processing.separation.config import MirrorConfig
 from processing.separation.lobe_fit import with_detail
@@ -210,12 +215,35 @@ def test_detail_keeps_the_base_and_adds_relief() -> None:
 @pytest.mark.parametrize("camera", ["cam0", "cam5", "cam7"])
 def test_what_passes_of_each_lamp_is_what_the_simulator_lets_pass(camera: str) -> None:
     rig = default_rig()
-    toward = rig.positions_mm / np.linalg.norm(rig.positions_mm, axis=1, keepdims=True)
     vertical = np.array([light.bank == "vertical" for light in rig.lights])
     _, known = facet_shares(rig, rig.camera(camera), PolariserConfig(np.inf, np.inf))
-    np.testing.assert_allclose(
-        mirror_shares(toward, vertical, rig.camera(camera)), known, atol=1e-5
-    )
+    found = mirror_amplitudes(rig.positions_mm, vertical, rig.camera(camera), np.zeros(3)) ** 2
+    np.testing.assert_allclose(found, known, atol=1e-5)
+
+
+def test_what_crossed_polarisers_leave_over_a_head_is_what_the_simulator_leaves() -> None:
+    """At its surface, where a lamp is mirrored, half as much as at the stage's centre."""
+    camera, lights = RIG.cameras[0], shots.rig_lights(RIG, SEQUENCES["binary-polarised"])
+    horizontal = np.array([lamp.bank == "horizontal" for lamp in RIG.lights])
+    lamps = RIG.positions_mm[horizontal]
+    half = lamps / np.linalg.norm(lamps, axis=1, keepdims=True) + camera.centre_mm / 1100
+    normals = half / np.linalg.norm(half, axis=1, keepdims=True)
+    points = 80 * normals
+    views = camera.centre_mm - points
+    views /= np.linalg.norm(views, axis=1, keepdims=True)
+    _, known = polarised_factors(
+        points, normals, views, lamps, lamp_axes(RIG)[horizontal],
+        lens_axis(camera, PolariserConfig()), 1.4, np.inf, np.inf,
+    )  # fmt: skip
+    field = mirrored_of_lamps(lights, camera)
+    number = [int(np.argmin(np.linalg.norm(lights.position_mm - x, axis=1))) for x in lamps]
+    found = (field[0] + points @ field[1:])[:, number] ** 2
+    front = np.flatnonzero(np.einsum("nk,nk->n", normals, views) > 0.5)
+    centre, found, known = field[0, number][front] ** 2, found[front, front], known[front, front]
+    np.testing.assert_allclose(found, known, atol=0.005)
+    assert found.mean() < 0.6 * centre.mean()
+    coarse = (mirror_lights(lights, camera).weight / lights.weight)[number][front]
+    np.testing.assert_allclose(coarse, known, atol=0.005)
 
 
 def test_shares_of_diffuse_light_are_what_the_simulator_lets_pass() -> None:

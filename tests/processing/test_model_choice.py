@@ -14,6 +14,7 @@ from lightstage.formats.mesh import Mesh
 from processing.lighting.facets import BECKMANN, Facets, horizontal, unmasked
 from processing.lighting.interface import mirrored, skin_interface, smith
 from processing.lighting.lobe import SKIN_F0, fresnel_table, transport
+from processing.lighting.polarisers import diffuse_of_normals, mirrored_of_lamps
 from processing.refinement import model_choice
 from processing.refinement.config import RefineConfig
 from processing.refinement.model_choice import (
@@ -76,7 +77,8 @@ def view(scene: Scene, facets: Facets, noise: float = 0.001) -> View:
         np.full(count, 0.5),
         np.ones(count, bool),
         px_per_mm=1.0,
-        mirrored=np.ones(len(LIGHTS.weight)),
+        mirrored=mirrored_of_lamps(LIGHTS, camera),
+        diffuse=diffuse_of_normals(LIGHTS, camera),
     )
 
 

@@ -297,6 +297,9 @@ def test_a_batchs_file_serves_run_too_and_its_table_is_checked(
         ("[register.nonrigid]\nstiffness_mm = []", r"stiffness_mm: found no value"),
         ("[refine]\ngloss_pixels = 0", r"refine\.gloss_pixels: found 0, expected 1 or more"),
         ("[refine]\ngloss_spread = 0", r"refine\.gloss_spread: found 0\.0, expected 1e-06 or more"),
+        ("[refine]\nrounds = 0", r"refine\.rounds: found 0, expected from 1 to 1000"),
+        ("[refine]\nedge_px = 0", r"refine\.edge_px: found 0\.0, expected 0\.001 or more"),
+        ("[separate]\nhalf_trust_deg = 0", r"half_trust_deg: found 0\.0, expected 0\.001 or more"),
         ("[atlas]\nlargest_gap_mm = 0", r"atlas\.largest_gap_mm: found 0\.0, expected 0\.001"),
     ],
 )
