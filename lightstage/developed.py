@@ -24,6 +24,9 @@ from lightstage.formats.orientation import OF_TIFF
 from lightstage.photo_file import identify_file
 from lightstage.tiff import Reader
 
+_ICC_PART = b"ICC_PROFILE\0"
+"""Head of a JPEG's segment APP2 that holds a part of the profile; its number and how many there are
+follow, a byte each [ICC2022]."""
 TIFF_HEADS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 BITS = (8, 16)
 BLACK_IS_ZERO, RGB, YCBCR = 1, 2, 6
@@ -105,6 +108,8 @@ def read_developed(path: Path, *, grey: bool = False) -> Developed:
         raise FormatError(path, found="another kind of file", expected="a JPEG, PNG or TIFF")
     profile, opaque = _check_tiff(data, path, grey) if kind == "TIFF" else (None, False)
     pixels, embedded = _decoded(data, path)
+    if kind == "JPEG":
+        embedded = _jpeg_profile(data)
     if grey and pixels.ndim == 2:
         pixels, profile, embedded = np.repeat(pixels[..., None], 3, axis=2), None, None
     codes = _colours(pixels, path, opaque=opaque)
@@ -159,6 +164,20 @@ def _check_jpeg(data: bytes, path: Path, grey: bool = False) -> None:
                 raise _refused(path, f"a JPEG of {bits} bits")
             return
     raise _damaged(path)
+
+
+def _jpeg_profile(data: bytes) -> bytes | None:
+    """A JPEG's ICC profile, joined of its parts.
+
+    OpenCV takes every segment APP2 for a part of it: cameras and telephones also keep lists of
+    further pictures there (MPF), and maps of gain.
+    """
+    parts: dict[int, bytes] = {}
+    for marker, place, size in segments(Reader(io.BytesIO(data)), 2):
+        part = data[place : place + size] if marker == 0xE2 else b""
+        if part.startswith(_ICC_PART) and len(part) > len(_ICC_PART) + 2:
+            parts[part[len(_ICC_PART)]] = part[len(_ICC_PART) + 2 :]
+    return b"".join(parts[number] for number in sorted(parts)) or None
 
 
 def _check_png(data: bytes, path: Path, grey: bool = False) -> None:
@@ -225,7 +244,7 @@ def _damaged(path: Path) -> FormatError:
 
 
 def _decoded(data: bytes, path: Path) -> tuple[np.ndarray, bytes | None]:
-    """A picture's pixels as OpenCV reads them, and the ICC profile of a JPEG or PNG."""
+    """A picture's pixels as OpenCV reads them, and the ICC profile of a PNG."""
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         pixels, kinds, values = cv2.imdecodeWithMetadata(
