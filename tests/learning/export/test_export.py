@@ -359,6 +359,11 @@ def test_a_page_holds_mesh_pictures_and_library_and_asks_no_server_for_anything(
     skin = read_source(person).covered
     albedo = ProcessedFolder(person).read_atlas("specular_albedo")[skin]
     np.testing.assert_allclose(pixels[skin][:, 3] / 255, np.minimum(albedo / F0, 1), atol=0.002)
+    _, packed = data["sides"][0]["normal"].split(",")
+    pixels = cv2.imdecode(np.frombuffer(base64.b64decode(packed), np.uint8), -1)
+    normal = read_source(person).tangent("specular_normal")[skin]
+    # Relief of single texels stays: at half the rows and columns it would be half as high.
+    assert np.abs(pixels[skin][:, ::-1] / 127.5 - 1 - normal).mean() < 0.03
     # The element that holds a part is ended by the page alone.
     assert text.count("</script>") == 4
 
