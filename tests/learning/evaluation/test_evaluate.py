@@ -238,6 +238,17 @@ def test_what_is_no_pair_is_refused(
     assert not list(tmp_path.glob("figures*"))
 
 
+def test_normals_that_were_not_found_are_ninety_degrees_off() -> None:
+    true = np.zeros((2, 2, 3))
+    true[0] = 0, 0, 1  # the second row is not known
+    found = np.zeros((2, 2, 3))
+    found[0, 0] = found[1] = 0, 0, 1
+    figures = normal_measures("n", found, true, np.ones((2, 2), bool))
+    assert figures["n_mean_deg"] == pytest.approx(45)
+    # Of two normals, six numbers, one is .5 off.
+    assert figures["n_psnr_db"] == pytest.approx(-10 * np.log10(0.25 / 6))
+
+
 def test_structural_similarity_is_that_of_a_plain_loop() -> None:
     rng = np.random.default_rng(0)
     one, other = rng.random((2, 24, 20, 3))
