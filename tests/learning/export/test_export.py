@@ -290,6 +290,18 @@ def test_maps_without_a_processed_folder_take_the_mesh_that_is_named_and_a_const
     assert "0.243" in (tmp_path / "out" / "README.txt").read_text()
 
 
+def test_where_roughness_was_not_measured_the_renderers_own_is_exported_and_no_mirror(
+    person: Path, tmp_path: Path
+) -> None:
+    folder = copied(person, tmp_path)
+    measured = folder.read_atlas("roughness")
+    measured[:, :20] = 0
+    folder.write_atlas("roughness", measured)
+    expected = np.where(measured > 0, measured, np.sqrt(2 / 34))
+    found = read_source(folder.root).maps["roughness"]
+    np.testing.assert_allclose(found.astype(float), expected, rtol=1e-3)
+
+
 def value_of(entry: Any, shown: float) -> float:
     """An input of MaterialX's graph, where pictures show one value."""
     from pxr import UsdShade
