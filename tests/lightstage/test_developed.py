@@ -243,6 +243,11 @@ BAD = {
     "CMYK TIFF": (tiff(with_alpha(ramp(), 3), photometric="separated"), "a TIFF in CMYK"),
     "grey JPEG": (cv2.imencode(".jpg", ramp()[..., 0])[1].tobytes(), "a grey JPEG"),
     "grey PNG": (cv2.imencode(".png", ramp()[..., 0])[1].tobytes(), "a grey PNG"),
+    "palette": (
+        tiff(ramp()[..., 0], photometric="palette", colormap=np.zeros((3, 256), np.uint16)),
+        "of a palette.*Export it as RGB",
+    ),
+    "white at 0": (tiff(ramp()[..., 0], photometric="miniswhite"), "grey, with white at 0"),
     "grey TIFF": (tiff(ramp()[..., 0], photometric="minisblack"), "a TIFF that is grey"),
     "floats": (tiff(ramp().astype(np.float32)), "32 bit floats.*OpenEXR"),
     "1 x 1 px": (png(ramp()[:1, :1]), "1 x 1 pixels"),
