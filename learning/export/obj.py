@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from learning.export.encode import SPECULAR_WHITE, perceptual
+from learning.export.gltf import unit_normals
 from learning.export.pictures import CONSTANT_ROUGHNESS, NORMAL, Pictures
 from learning.export.source import Source
 from lightstage.formats.files import write_bytes, write_text
@@ -44,7 +45,8 @@ def write_obj_material(path: Path, source: Source, paths: dict[str, str]) -> Pat
         paths: of `write_pictures`.
     """
     name = f"{path.stem}.mtl"
-    mesh = write_obj(source.mesh, path)
+    # The normal map is of these normals: programs that find none shade each triangle flat.
+    mesh = write_obj(source.mesh, path, unit_normals(source))
     lines = mesh.read_text()
     head = (
         "# Millimetres, +y up, +z out of the face; texture coordinates with v upward.\n"

@@ -21,7 +21,7 @@ from learning.export.encode import SPECULAR_WHITE
 from learning.export.source import read_source
 from learning.render.dielectric import F0
 from lightstage.formats.exr import read_exr, write_exr
-from lightstage.formats.mesh import read_mesh, read_obj
+from lightstage.formats.mesh import read_mesh, read_obj, vertex_normals
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.srgb import linear_from_srgb
 from tests.learning.export.called import accessor, copied, run
@@ -226,7 +226,16 @@ def test_the_obj_is_the_mesh_as_it_was_and_its_material_names_pictures_that_are_
     named = [line.split()[1] for line in lines if line.startswith(("map_", "norm"))]
     assert len(named) == 4
     assert all((exported / name).is_file() for name in named)
-    assert "mtllib head.mtl" in (exported / "head.obj").read_text()
+    text = (exported / "head.obj").read_text()
+    assert "mtllib head.mtl" in text
+    # The normal map is of these normals; without them programs shade each face flat.
+    corners = re.findall(r" (\d+)/\d+/(\d+)", text)
+    assert len(corners) == (before.faces >= 0).sum()
+    assert all(vertex == normal for vertex, normal in corners)
+    written = np.array([line.split()[1:] for line in text.splitlines() if line[:3] == "vn "], float)
+    expected = vertex_normals(before.vertices, before.triangles())
+    known = np.linalg.norm(expected, axis=1) > 0.5  # not those of no triangle
+    np.testing.assert_allclose(written[known], expected[known], atol=1e-6)
 
 
 def test_the_recipe_names_units_colour_spaces_and_every_file(exported: Path) -> None:
