@@ -37,7 +37,7 @@ def write_obj_material(path: Path, source: Source, paths: dict[str, str]) -> Pat
     """Write PATH.obj and PATH.mtl.
 
     The material is given twice: as Blinn and Phong's, which every reader takes, and by the
-    extension for physical materials (Pr, Pm, norm), which Blender and others read.
+    extension for physical materials (Pr, Pm, norm), of which Blender reads all but norm.
 
     Args:
         path: of the mesh, ending in .obj.
@@ -69,7 +69,8 @@ def write_obj_material(path: Path, source: Source, paths: dict[str, str]) -> Pat
         f"Ks {SPECULAR_WHITE:g} {SPECULAR_WHITE:g} {SPECULAR_WHITE:g}",
         # The exponent whose lobe is as wide as Beckmann's m [Walter2007].
         f"Ns {2 / mean**2 - 2:.2f}",
-        "Ni 1.4",
+        # Not skin's own: with this index a white specular level is SPECULAR_WHITE in Blender.
+        "Ni 1.5",
         "d 1",
         f"map_Kd {paths['base_color']}",
         f"map_Ks {paths['specular']}",

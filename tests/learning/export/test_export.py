@@ -226,6 +226,9 @@ def test_the_obj_is_the_mesh_as_it_was_and_its_material_names_pictures_that_are_
     named = [line.split()[1] for line in lines if line.startswith(("map_", "norm"))]
     assert len(named) == 4
     assert all((exported / name).is_file() for name in named)
+    # A principled shader's level of 1 is twice the reflectance of its index.
+    (index,) = (float(line.split()[1]) for line in lines if line.startswith("Ni "))
+    assert 2 * ((index - 1) / (index + 1)) ** 2 == pytest.approx(SPECULAR_WHITE)
     text = (exported / "head.obj").read_text()
     assert "mtllib head.mtl" in text
     # The normal map is of these normals; without them programs shade each face flat.
