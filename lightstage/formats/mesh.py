@@ -307,6 +307,8 @@ def write_obj(mesh: Mesh, path: Path, normals: np.ndarray | None = None) -> Path
         lines += [f"vt {u:.8f} {v:.8f}" for u, v in mesh.uvs.tolist()]
     if normals is not None:
         lines += [f"vn {x:.6f} {y:.6f} {z:.6f}" for x, y, z in normals.tolist()]
+    # One smooth surface: without this and without normals Blender shades every face flat.
+    lines.append("s 1")
     has_uv = mesh.face_uvs is not None
     # Vertex, texture coordinate, normal.
     corner = "{0}" + ("/{1}" if has_uv else "")
