@@ -19,12 +19,15 @@ FARTHEST_MM = 5.0
 """Median distance at which a map of positions is another head's or another template's."""
 FARTHEST_DEG = 60.0
 """Median angle to the mesh's normals at which maps are another template's, or in other axes."""
+OPPOSITE_DEG = 150.0
+"""The same at which the mesh is inside out."""
+INSIDE_OUT = "Is the mesh inside out? Reverse the order of its faces' corners."
 CHECKED = 20_000
 """Texels that are compared with the mesh."""
 
 
 def require_albedo(values: np.ndarray, path: Path) -> None:
-    """MapsError where an albedo of any shape is negative."""
+    """MapsError where an albedo, or another map of shares, of any shape is negative."""
     bad = values < 0
     if bad.any():
         first = ", ".join(str(int(i)) for i in np.argwhere(bad)[0])
@@ -33,7 +36,7 @@ def require_albedo(values: np.ndarray, path: Path) -> None:
             field=f"texel ({first})",
             found=f"{counted(int(bad.sum()), 'negative value')}, the lowest "
             f"{float(values.min()):.3g}",
-            expected="an albedo of at least 0",
+            expected="values of at least 0",
             hint="Resampling with overshoot does this; clamp the map when it is made.",
         )
 
@@ -107,7 +110,7 @@ def require_same_surface(
                 folder / f"{name}.exr",
                 found=f"normals {off_deg:.0f} degrees from those of {where}, in the median",
                 expected=f"at most {FARTHEST_DEG:g}: maps of the mesh's own template, in its axes",
-                hint=hint,
+                hint=INSIDE_OUT if off_deg > OPPOSITE_DEG else hint,
             )
 
 

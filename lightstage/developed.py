@@ -24,10 +24,16 @@ from lightstage.formats.orientation import OF_TIFF
 from lightstage.photo_file import identify_file
 from lightstage.tiff import Reader
 
+_ICC_PART = b"ICC_PROFILE\0"
+"""Head of a JPEG's segment APP2 that holds a part of the profile; its number and how many there are
+follow, a byte each [ICC2022]."""
 TIFF_HEADS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 BITS = (8, 16)
 BLACK_IS_ZERO, RGB, YCBCR = 1, 2, 6
 """PhotometricInterpretation of pictures that are taken [TIFF1992]."""
+_KINDS = {0: "grey, with white at 0", 3: "of a palette", 8: "in CIELAB"}
+"""Others, by name."""
+_KIND_HINT = "Export it as RGB with 16 bits."
 _PNG_ALPHA, _PNG_COLOUR = 4, 2
 """Bits of a PNG's colour type."""
 SRGB_GAMMA = 45455
@@ -102,9 +108,16 @@ def read_developed(path: Path, *, grey: bool = False) -> Developed:
     elif kind == "PNG":
         _check_png(data, path, grey)
     elif kind != "TIFF":
-        raise FormatError(path, found="another kind of file", expected="a JPEG, PNG or TIFF")
+        raise FormatError(
+            path,
+            found=_other_kind(data),
+            expected="a JPEG, PNG or TIFF",
+            hint="Copy it again, or export it as one of these.",
+        )
     profile, opaque = _check_tiff(data, path, grey) if kind == "TIFF" else (None, False)
     pixels, embedded = _decoded(data, path)
+    if kind == "JPEG":
+        embedded = _jpeg_profile(data)
     if grey and pixels.ndim == 2:
         pixels, profile, embedded = np.repeat(pixels[..., None], 3, axis=2), None, None
     codes = _colours(pixels, path, opaque=opaque)
@@ -129,6 +142,15 @@ def read_developed(path: Path, *, grey: bool = False) -> Developed:
 
 def _refused(path: Path, found: str, hint: str = "") -> FormatError:
     return FormatError(path, found=found, expected=EXPECTED, hint=hint)
+
+
+def _other_kind(data: bytes) -> str:
+    """What a file is that is no JPEG, PNG or TIFF, or none that is whole."""
+    if not data:
+        return "an empty file"
+    if data.startswith(TIFF_HEADS):
+        return "a RAW photograph, or a TIFF that is truncated"
+    return "a HEIC or AVIF" if data[4:8] == b"ftyp" else "another kind of file"
 
 
 _CMYK = "Printing inks do not give light: export the picture as RGB with 16 bits."
@@ -159,6 +181,20 @@ def _check_jpeg(data: bytes, path: Path, grey: bool = False) -> None:
                 raise _refused(path, f"a JPEG of {bits} bits")
             return
     raise _damaged(path)
+
+
+def _jpeg_profile(data: bytes) -> bytes | None:
+    """A JPEG's ICC profile, joined of its parts.
+
+    OpenCV takes every segment APP2 for a part of it: cameras and telephones also keep lists of
+    further pictures there (MPF), and maps of gain.
+    """
+    parts: dict[int, bytes] = {}
+    for marker, place, size in segments(Reader(io.BytesIO(data)), 2):
+        part = data[place : place + size] if marker == 0xE2 else b""
+        if part.startswith(_ICC_PART) and len(part) > len(_ICC_PART) + 2:
+            parts[part[len(_ICC_PART)]] = part[len(_ICC_PART) + 2 :]
+    return b"".join(parts[number] for number in sorted(parts)) or None
 
 
 def _check_png(data: bytes, path: Path, grey: bool = False) -> None:
@@ -207,7 +243,7 @@ def _check_tiff(data: bytes, path: Path, grey: bool = False) -> tuple[bytes | No
     plain = grey and photometric == BLACK_IS_ZERO and samples == 1
     if not plain and (photometric not in (RGB, YCBCR) or samples - len(extra) != 3):
         what = "grey" if samples - len(extra) == 1 else f"of colours of kind {photometric}"
-        raise _refused(path, f"a TIFF that is {what}")
+        raise _refused(path, f"a TIFF that is {_KINDS.get(photometric, what)}", _KIND_HINT)
     if bits not in BITS or format_ != 1:
         found = f"a TIFF of {bits} bit {'floats' if format_ == 3 else 'numbers'}"
         raise _refused(path, found, "Linear light in floats belongs into an OpenEXR.")
@@ -225,7 +261,7 @@ def _damaged(path: Path) -> FormatError:
 
 
 def _decoded(data: bytes, path: Path) -> tuple[np.ndarray, bytes | None]:
-    """A picture's pixels as OpenCV reads them, and the ICC profile of a JPEG or PNG."""
+    """A picture's pixels as OpenCV reads them, and the ICC profile of a PNG."""
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         pixels, kinds, values = cv2.imdecodeWithMetadata(

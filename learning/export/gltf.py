@@ -15,6 +15,7 @@ from learning.export.pictures import CONSTANT_ROUGHNESS, NORMAL, Pictures
 from learning.export.source import Source
 from learning.render.dielectric import INDEX
 from lightstage.formats.files import atomic_path
+from lightstage.formats.mesh import vertex_normals
 
 METRES = 0.001
 """glTF is in metres; ours in mm."""
@@ -67,6 +68,20 @@ def unit_normals(source: Source) -> np.ndarray:
     """(n, 3) normals of the mesh's vertices; +z where all triangles of one are degenerate."""
     length = np.linalg.norm(source.normals, axis=1)
     return np.where(length[:, None] > 0.5, source.normals, [0.0, 0.0, 1.0])
+
+
+def turned_normals(source: Source, offsets: np.ndarray) -> np.ndarray:
+    """(n, 3) what an expression adds to the normals of `unit_normals`.
+
+    Without it a lowered lid is lit as an open one, since programs keep a mesh's own normals.
+
+    Args:
+        source: the head.
+        offsets: (n, 3) of its vertices, mm.
+    """
+    normals = vertex_normals(source.mesh.vertices + offsets, source.mesh.triangles())
+    has_one = np.linalg.norm(normals, axis=1, keepdims=True) > 0.5
+    return np.where(has_one, normals - unit_normals(source), 0)
 
 
 class Buffer:
@@ -183,7 +198,10 @@ def _mesh(source: Source, buffer: Buffer, morphs: dict[str, np.ndarray]) -> dict
     found: dict[str, Any] = {"name": "head", "primitives": [primitive]}
     if morphs:
         primitive["targets"] = [
-            {"POSITION": buffer.vectors(METRES * offsets[corners.vertex], bounds=True)}
+            {
+                "POSITION": buffer.vectors(METRES * offsets[corners.vertex], bounds=True),
+                "NORMAL": buffer.vectors(turned_normals(source, offsets)[corners.vertex]),
+            }
             for offsets in morphs.values()
         ]
         found |= {"weights": [0.0] * len(morphs), "extras": {"targetNames": list(morphs)}}

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from learning.export.encode import SPECULAR_WHITE, perceptual
+from learning.export.gltf import unit_normals
 from learning.export.pictures import CONSTANT_ROUGHNESS, NORMAL, Pictures
 from learning.export.source import Source
 from lightstage.formats.files import write_bytes, write_text
@@ -36,7 +37,7 @@ def write_obj_material(path: Path, source: Source, paths: dict[str, str]) -> Pat
     """Write PATH.obj and PATH.mtl.
 
     The material is given twice: as Blinn and Phong's, which every reader takes, and by the
-    extension for physical materials (Pr, Pm, norm), which Blender and others read.
+    extension for physical materials (Pr, Pm, norm), of which Blender reads all but norm.
 
     Args:
         path: of the mesh, ending in .obj.
@@ -44,7 +45,8 @@ def write_obj_material(path: Path, source: Source, paths: dict[str, str]) -> Pat
         paths: of `write_pictures`.
     """
     name = f"{path.stem}.mtl"
-    mesh = write_obj(source.mesh, path)
+    # The normal map is of these normals: programs that find none shade each triangle flat.
+    mesh = write_obj(source.mesh, path, unit_normals(source))
     lines = mesh.read_text()
     head = (
         "# Millimetres, +y up, +z out of the face; texture coordinates with v upward.\n"
@@ -67,7 +69,8 @@ def write_obj_material(path: Path, source: Source, paths: dict[str, str]) -> Pat
         f"Ks {SPECULAR_WHITE:g} {SPECULAR_WHITE:g} {SPECULAR_WHITE:g}",
         # The exponent whose lobe is as wide as Beckmann's m [Walter2007].
         f"Ns {2 / mean**2 - 2:.2f}",
-        "Ni 1.4",
+        # Not skin's own: with this index a white specular level is SPECULAR_WHITE in Blender.
+        "Ni 1.5",
         "d 1",
         f"map_Kd {paths['base_color']}",
         f"map_Ks {paths['specular']}",

@@ -24,6 +24,9 @@ MOST_ROWS = 2048
 MOST_BYTES = 25_000_000
 QUALITY = {"base": 92, "normal": 95, "packed": 92}
 """JPEG's, by picture; the specular picture keeps its alpha and is a PNG."""
+WHOLE_COLOURS = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+"""A normal's x and y are colours, which JPEG else keeps at half the rows and columns: a sixth of
+the relief of pores was lost."""
 SAID = (
     "Subsurface scattering is approximated here: diffuse light wraps around the horizon, red "
     "farthest. The roughness was measured with Beckmann's facets and is shown with GGX. Pictures "
@@ -120,7 +123,7 @@ def _small(data: bytes) -> np.ndarray:
 
 
 def _jpeg(data: bytes, quality: int) -> str:
-    return _url("jpeg", _small(data), (cv2.IMWRITE_JPEG_QUALITY, quality))
+    return _url("jpeg", _small(data), (cv2.IMWRITE_JPEG_QUALITY, quality, *WHOLE_COLOURS))
 
 
 def _url(kind: str, image: np.ndarray, options: tuple[int, ...]) -> str:

@@ -16,7 +16,7 @@ from learning.export.encode import (
     quantised_normals,
     srgb,
 )
-from learning.export.source import Source
+from learning.export.source import Source, m_of
 from learning.maps import SHININESS
 from learning.render.dielectric import F0
 
@@ -24,7 +24,7 @@ NORMAL = "specular_normal"
 """Whose directions a single normal map has: the surface's own, with its pores. Those of the diffuse
 light are blurred by what scatters in the skin, which a renderer with subsurface adds by itself; a
 material that takes two normals finds the other in the maps."""
-CONSTANT_ROUGHNESS = float(np.sqrt(2 / (SHININESS + 2)))
+CONSTANT_ROUGHNESS = float(m_of(np.array(SHININESS)))
 """Beckmann's m where there is no map: that of the renderer's constant exponent."""
 
 

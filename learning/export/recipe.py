@@ -20,7 +20,10 @@ Blender (4.0 and later), Principled BSDF
   IOR Level           specular_albedo.png (of the .exr: divided by {SPECULAR_WHITE:g})
   Normal              a Normal Map node (Tangent Space, Strength 1) on normal_specular.png
   Subsurface Weight   1, Scale 1.4 mm (0.0014 in metres), Radius 1, 0.35, 0.15, Random Walk (Skin)
-  The OBJ is in mm: import it with Scale 0.001. The .glb comes in metres.
+  The OBJ is in mm: import it with Scale 0.001. Of its material Blender takes specular.png and
+  roughness.png for sRGB (set Non-Color), and leaves normal.png out (add it as above). Of the .usda
+  it takes the reflectance for a tint, so that skin hardly shines: connect the specular picture as
+  above. The .glb comes in metres, with its whole material.
 
 Unreal Engine, shading model Subsurface Profile (or Substrate skin)
   Import: base_color.png or diffuse_albedo.png with sRGB on; all others with sRGB off and

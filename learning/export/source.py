@@ -16,6 +16,7 @@ from learning.map_checks import (
     require_same_surface,
 )
 from learning.map_folders import MARK, require_texture_maps
+from learning.maps import SHININESS
 from lightstage.formats.exr import read_half_exr
 from lightstage.formats.mesh import Mesh, read_mesh, vertex_normals
 from lightstage.formats.processed import MAPS, ProcessedFolder
@@ -137,13 +138,10 @@ def read_source(given: Path, mesh: Path | None = None, template: Path | None = N
     place_mm, normal = (raster.at(each, triangles, texels) for each in (shape.vertices, normals))
     require_same_surface(maps, texels, place_mm, normal, folder, place)
     notes = []
-    if "roughness" not in maps and template is not None:
-        shininess = load_template(template).maps.get("shininess")
-        if shininess is not None:
-            # The lobe of this exponent is as wide as Beckmann's of this m [Walter2007].
-            root = np.sqrt(2 / (cv2.resize(shininess, (columns, rows)) + 2))
-            maps["roughness"] = root.astype(np.float16)
-    if "roughness" not in maps:
+    rough = _roughness(maps.get("roughness"), template, raster.face >= 0)
+    if rough is not None:
+        maps["roughness"] = rough
+    else:
         notes.append("no map of roughness: the whole face has one number")
     if not np.any(maps["specular_albedo"]):
         notes.append("specular_albedo is 0 everywhere: nothing shines")
@@ -151,6 +149,31 @@ def read_source(given: Path, mesh: Path | None = None, template: Path | None = N
     maps = {name: image for name, image in maps.items() if name != "position"}
     nearest = nearest_covered(raster.face >= 0)
     return Source(shape, normals, frames, raster, nearest, folder, maps, tuple(notes))
+
+
+def m_of(exponent: np.ndarray) -> np.ndarray:
+    """(...) Beckmann's m of a lobe as wide as Blinn and Phong's exponent gives [Walter2007]."""
+    return np.asarray(np.sqrt(2 / (exponent + 2)))
+
+
+def _roughness(
+    measured: np.ndarray | None, template: Path | None, covered: np.ndarray
+) -> np.ndarray | None:
+    """(rows, columns) float16 Beckmann's m; None where neither a map nor the template states it.
+
+    Texels that were not measured, 0, would be mirrors: as in the renderer they have the template's,
+    else the constant one.
+    """
+    if measured is not None and (measured[covered] > 0).all():
+        return measured
+    shininess = None if template is None else load_template(template).maps.get("shininess")
+    if measured is None and shininess is None:
+        return None
+    exponent = np.full(covered.shape, SHININESS)
+    if shininess is not None:
+        exponent = cv2.resize(shininess, covered.shape[::-1])
+    rough = m_of(exponent).astype(np.float16)
+    return rough if measured is None else np.where(measured > 0, measured, rough)
 
 
 def _require_shape(mesh: Mesh, where: Path) -> None:

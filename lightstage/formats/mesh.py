@@ -291,8 +291,13 @@ def _check(mesh: Mesh, path: Path) -> None:
             raise FormatError(path, field="uv", found="an index of no vt", expected="a mesh")
 
 
-def write_obj(mesh: Mesh, path: Path) -> Path:
+def write_obj(mesh: Mesh, path: Path, normals: np.ndarray | None = None) -> Path:
     """Write an OBJ file atomically, topology and UV as they are; returns `path`.
+
+    Args:
+        mesh: to write.
+        path: of the file.
+        normals: (n, 3) unit, of the vertices; left out where None.
 
     Raises:
         FormatError: a name that does not end in .obj.
@@ -302,12 +307,18 @@ def write_obj(mesh: Mesh, path: Path) -> Path:
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices.tolist()]
     if mesh.uvs is not None:
         lines += [f"vt {u:.8f} {v:.8f}" for u, v in mesh.uvs.tolist()]
+    if normals is not None:
+        lines += [f"vn {x:.6f} {y:.6f} {z:.6f}" for x, y, z in normals.tolist()]
+    # One smooth surface: without this and without normals Blender shades every face flat.
+    lines.append("s 1")
+    has_uv = mesh.face_uvs is not None
+    # Vertex, texture coordinate, normal.
+    corner = "{0}" + ("/{1}" if has_uv else "")
+    if normals is not None:
+        corner += "/{0}" if has_uv else "//{0}"
     uv_rows = mesh.faces.tolist() if mesh.face_uvs is None else mesh.face_uvs.tolist()
     for row, uv_row in zip(mesh.faces.tolist(), uv_rows, strict=True):
-        if mesh.face_uvs is None:
-            corners = [f"{i + 1}" for i in row if i >= 0]
-        else:
-            corners = [f"{i + 1}/{t + 1}" for i, t in zip(row, uv_row, strict=True) if i >= 0]
+        corners = [corner.format(i + 1, t + 1) for i, t in zip(row, uv_row, strict=True) if i >= 0]
         lines.append("f " + " ".join(corners))
     return write_text(path, "\n".join(lines) + "\n")
 

@@ -139,6 +139,25 @@ def test_a_profile_states_what_values_mean(tmp_path, kind):
     assert np.abs(found.rgb - plain_srgb(codes / 255.0)).max() > 0.05
 
 
+def test_what_cameras_keep_beside_a_jpegs_profile_is_no_part_of_it(tmp_path):
+    codes, profile = ramp(), icc()
+    plain, described = jpeg(codes), jpeg(codes, profile=profile)
+
+    def with_parts(*parts):
+        body = b"".join(b"\xff\xe2" + struct.pack(">H", len(part) + 2) + part for part in parts)
+        return plain[:2] + body + plain[2:]
+
+    more = b"MPF\0II*\0" + bytes(80)
+    first, second = (
+        b"ICC_PROFILE\0" + bytes([number, 2]) + half
+        for number, half in ((1, profile[:100]), (2, profile[100:]))
+    )
+    assert not read(tmp_path, with_parts(more)).has_profile
+    expected = read(tmp_path, described).rgb
+    found = read(tmp_path, with_parts(more, second, first, more)).rgb
+    np.testing.assert_array_equal(found, expected)
+
+
 def test_curves_of_all_kinds_are_read():
     x = np.linspace(0, 1, 65536)
     srgb = plain_srgb(x)
@@ -224,6 +243,11 @@ BAD = {
     "CMYK TIFF": (tiff(with_alpha(ramp(), 3), photometric="separated"), "a TIFF in CMYK"),
     "grey JPEG": (cv2.imencode(".jpg", ramp()[..., 0])[1].tobytes(), "a grey JPEG"),
     "grey PNG": (cv2.imencode(".png", ramp()[..., 0])[1].tobytes(), "a grey PNG"),
+    "palette": (
+        tiff(ramp()[..., 0], photometric="palette", colormap=np.zeros((3, 256), np.uint16)),
+        "of a palette.*Export it as RGB",
+    ),
+    "white at 0": (tiff(ramp()[..., 0], photometric="miniswhite"), "grey, with white at 0"),
     "grey TIFF": (tiff(ramp()[..., 0], photometric="minisblack"), "a TIFF that is grey"),
     "floats": (tiff(ramp().astype(np.float32)), "32 bit floats.*OpenEXR"),
     "1 x 1 px": (png(ramp()[:1, :1]), "1 x 1 pixels"),

@@ -183,6 +183,11 @@ def test_an_index_of_nothing_is_refused_however_it_is_written(tmp_path, face):
         read_obj(path)
 
 
+def test_an_obj_is_one_smooth_surface_for_programs_that_shade_faces_flat_without_a_word(tmp_path):
+    lines = write_obj(Mesh(*sphere(40)), tmp_path / "a.obj").read_text().splitlines()
+    assert "s 1" in lines[: [line[:2] for line in lines].index("f ")]
+
+
 def test_an_obj_is_not_written_under_another_suffix(tmp_path):
     mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]))
     with pytest.raises(FormatError, match=r"found suffix '\.ply', expected \.obj"):

@@ -287,6 +287,20 @@ def test_truth_in_atlas_takes_nothing_from_uncovered_texels(
     np.testing.assert_allclose(maps["diffuse_albedo"][known], expected[known], atol=4e-3)
 
 
+def test_an_atlas_is_scored_where_more_than_half_of_the_truths_texels_around_are_skin(
+    folders: tuple[ProcessedFolder, ProcessedFolder],
+) -> None:
+    out, truth = folders
+    truth.write_atlas("confidence", (texels(True)[0] < 0.5).astype(float))
+    u, v = texels()
+    between = 2 * (v - 0.5)  # texels beside those of the truth: any share of skin
+    u = u + between / COLUMNS
+    out.write_atlas("position", paint(u, v)["position"])
+    known = truth_in_atlas(out.root, truth.root)["confidence"] > 0
+    clear = abs(u - 0.5) > 0.1 / COLUMNS
+    np.testing.assert_array_equal(known[clear], (u < 0.5)[clear])
+
+
 def test_predicted_maps_without_confidence_are_scored_on_all_skin(
     folders: tuple[ProcessedFolder, ProcessedFolder],
 ) -> None:

@@ -179,6 +179,39 @@ def test_albedos_of_different_sizes_are_held_against_each_other_at_the_smaller_o
     assert off == pytest.approx(wanted, abs=1e-3)
 
 
+@pytest.mark.parametrize("name", ["skin", "confidence"])
+def test_a_texel_counts_where_more_than_half_of_it_is_skin_of_the_truth(
+    people: list[ProcessedFolder],
+    tmp_path: Path,
+    evaluate: Callable[..., Ended],
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+) -> None:
+    truth = ProcessedFolder(shutil.copytree(people[0].root, tmp_path / "truth"))
+    share = np.array([1, 2, 3, 4])[np.arange(48) % 4][:, None] + np.zeros((48, 32), int)
+    # Of two by two texels so many are skin.
+    skin = np.kron(share, np.ones((2, 2))) > np.tile([[0, 1], [2, 3]], (48, 32))
+    truth.write_atlas(name, skin.astype(np.float32))
+    monkeypatch.setattr(command, "RELIT_ROWS", 48)
+    small = tmp_path / "small"
+    small.mkdir()
+    for path in (truth.root / "atlas").glob("*.exr"):
+        write_exr(small / path.name, command._resized(read_exr(path), (48, 32)))
+    for most, is_scored in ((2, False), (3, True)):
+        mine = shutil.copytree(small, tmp_path / f"wrong up to {most}")
+        albedo = read_exr(small / "diffuse_albedo.exr")
+        write_exr(mine / "diffuse_albedo.exr", np.where(share[..., None] <= most, 0, albedo))
+        figures = evaluate(mine, "--truth", truth.root).facts["figures"]
+        assert (figures["albedo_psnr_db"]["mean"] < 40) is is_scored
+        large = brightened(truth, tmp_path / f"large {most}", 1.0)
+        wrong = np.kron(share <= most, np.ones((2, 2)))[..., None] > 0
+        write_exr(
+            large / "diffuse_albedo.exr", np.where(wrong, 0, truth.read_atlas("diffuse_albedo"))
+        )
+        figures = evaluate(large, "--truth", truth.root).facts["figures"]
+        assert (figures["relit_key_db"]["mean"] < 40) is is_scored
+
+
 def test_what_is_no_pair_is_refused(
     people: list[ProcessedFolder], tmp_path: Path, evaluate: Callable[..., Ended]
 ) -> None:
@@ -203,6 +236,17 @@ def test_what_is_no_pair_is_refused(
         assert (done.code, "diffuse_albedo.exr" in done.err) == (2, True)
     assert evaluate(a, "--truth", tmp_path / "absent").code == 2
     assert not list(tmp_path.glob("figures*"))
+
+
+def test_normals_that_were_not_found_are_ninety_degrees_off() -> None:
+    true = np.zeros((2, 2, 3))
+    true[0] = 0, 0, 1  # the second row is not known
+    found = np.zeros((2, 2, 3))
+    found[0, 0] = found[1] = 0, 0, 1
+    figures = normal_measures("n", found, true, np.ones((2, 2), bool))
+    assert figures["n_mean_deg"] == pytest.approx(45)
+    # Of two normals, six numbers, one is .5 off.
+    assert figures["n_psnr_db"] == pytest.approx(-10 * np.log10(0.25 / 6))
 
 
 def test_structural_similarity_is_that_of_a_plain_loop() -> None:

@@ -21,7 +21,7 @@ from learning.export.encode import SPECULAR_WHITE
 from learning.export.source import read_source
 from learning.render.dielectric import F0
 from lightstage.formats.exr import read_exr, write_exr
-from lightstage.formats.mesh import read_mesh, read_obj
+from lightstage.formats.mesh import read_mesh, read_obj, vertex_normals
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.srgb import linear_from_srgb
 from tests.learning.export.called import accessor, copied, run
@@ -226,7 +226,19 @@ def test_the_obj_is_the_mesh_as_it_was_and_its_material_names_pictures_that_are_
     named = [line.split()[1] for line in lines if line.startswith(("map_", "norm"))]
     assert len(named) == 4
     assert all((exported / name).is_file() for name in named)
-    assert "mtllib head.mtl" in (exported / "head.obj").read_text()
+    # A principled shader's level of 1 is twice the reflectance of its index.
+    (index,) = (float(line.split()[1]) for line in lines if line.startswith("Ni "))
+    assert 2 * ((index - 1) / (index + 1)) ** 2 == pytest.approx(SPECULAR_WHITE)
+    text = (exported / "head.obj").read_text()
+    assert "mtllib head.mtl" in text
+    # The normal map is of these normals; without them programs shade each face flat.
+    corners = re.findall(r" (\d+)/\d+/(\d+)", text)
+    assert len(corners) == (before.faces >= 0).sum()
+    assert all(vertex == normal for vertex, normal in corners)
+    written = np.array([line.split()[1:] for line in text.splitlines() if line[:3] == "vn "], float)
+    expected = vertex_normals(before.vertices, before.triangles())
+    known = np.linalg.norm(expected, axis=1) > 0.5  # not those of no triangle
+    np.testing.assert_allclose(written[known], expected[known], atol=1e-6)
 
 
 def test_the_recipe_names_units_colour_spaces_and_every_file(exported: Path) -> None:
@@ -288,6 +300,18 @@ def test_maps_without_a_processed_folder_take_the_mesh_that_is_named_and_a_const
     # The renderer's exponent of 32: alpha^2 = 2 / 34, and glTF's roughness squared is alpha.
     np.testing.assert_allclose(rough["roughnessFactor"] ** 4, 2 / 34)
     assert "0.243" in (tmp_path / "out" / "README.txt").read_text()
+
+
+def test_where_roughness_was_not_measured_the_renderers_own_is_exported_and_no_mirror(
+    person: Path, tmp_path: Path
+) -> None:
+    folder = copied(person, tmp_path)
+    measured = folder.read_atlas("roughness")
+    measured[:, :20] = 0
+    folder.write_atlas("roughness", measured)
+    expected = np.where(measured > 0, measured, np.sqrt(2 / 34))
+    found = read_source(folder.root).maps["roughness"]
+    np.testing.assert_allclose(found.astype(float), expected, rtol=1e-3)
 
 
 def value_of(entry: Any, shown: float) -> float:
@@ -359,6 +383,11 @@ def test_a_page_holds_mesh_pictures_and_library_and_asks_no_server_for_anything(
     skin = read_source(person).covered
     albedo = ProcessedFolder(person).read_atlas("specular_albedo")[skin]
     np.testing.assert_allclose(pixels[skin][:, 3] / 255, np.minimum(albedo / F0, 1), atol=0.002)
+    _, packed = data["sides"][0]["normal"].split(",")
+    pixels = cv2.imdecode(np.frombuffer(base64.b64decode(packed), np.uint8), -1)
+    normal = read_source(person).tangent("specular_normal")[skin]
+    # Relief of single texels stays: at half the rows and columns it would be half as high.
+    assert np.abs(pixels[skin][:, ::-1] / 127.5 - 1 - normal).mean() < 0.03
     # The element that holds a part is ended by the page alone.
     assert text.count("</script>") == 4
 

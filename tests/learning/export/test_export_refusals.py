@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,17 @@ def with_grey_normals(folder: ProcessedFolder) -> None:
 
 def negative(folder: ProcessedFolder) -> None:
     folder.write_atlas("specular_albedo", -folder.read_atlas("specular_albedo"))
+
+
+def negative_occlusion(folder: ProcessedFolder) -> None:
+    folder.write_atlas("ambient_occlusion", -folder.read_atlas("ambient_occlusion"))
+
+
+def inside_out(folder: ProcessedFolder) -> None:
+    mesh = read_obj(folder.registered_mesh)
+    assert mesh.face_uvs is not None
+    faces, face_uvs = mesh.faces[:, ::-1], mesh.face_uvs[:, ::-1]
+    write_obj(dataclasses.replace(mesh, faces=faces, face_uvs=face_uvs), folder.registered_mesh)
 
 
 def of_another_head(folder: ProcessedFolder) -> None:
@@ -69,6 +81,8 @@ def without_mesh(folder: ProcessedFolder) -> None:
         (with_nan, "diffuse_albedo.exr"),
         (with_grey_normals, "expected 3, as a map of this name has"),
         (negative, "negative"),
+        (negative_occlusion, "expected values of at least 0"),
+        (inside_out, "Is the mesh inside out?"),
         (of_another_head, "position.exr"),
         (in_other_axes, "maps of the mesh's own template, in its axes"),
         (without_uv, "uv: found none"),

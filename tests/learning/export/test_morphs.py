@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from learning.export.morphs import ARKIT, arkit_name, arkit_targets, axes_of
 from lightstage.formats.files import write_json
-from lightstage.formats.mesh import read_obj
+from lightstage.formats.mesh import read_obj, vertex_normals
 from lightstage.formats.template import (
     Modes,
     Template,
@@ -97,6 +97,11 @@ def test_a_templates_expressions_are_morph_targets_in_metres_and_in_the_meshs_ax
     expected = offsets[0] @ np.array(pose)[:, :3] / 1000
     moved = accessor(read, primitive["targets"][0]["POSITION"])
     np.testing.assert_allclose(moved[triangles], expected[mesh.triangles()], atol=1e-6)
+    # The open jaw has the normals of its own shape.
+    opened = vertex_normals(mesh.vertices + 1000 * expected, mesh.triangles())
+    before = accessor(read, primitive["attributes"]["NORMAL"])
+    turned = before + accessor(read, primitive["targets"][0]["NORMAL"])
+    np.testing.assert_allclose(turned[triangles], opened[mesh.triangles()], atol=1e-5)
 
 
 def test_without_a_pose_the_vertices_tell_a_meshs_axes() -> None:

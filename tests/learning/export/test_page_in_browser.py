@@ -19,7 +19,7 @@ pytestmark = pytest.mark.skipif(
 SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 """WebGL by the processor: there is no graphics card where tests run."""
 WIDTH, HEIGHT = 480, 400
-ROUGHNESS = "roughness (green) and occlusion (red)"
+ROUGHNESS = "roughness"
 PANEL_PX = 330
 """Left of this the page has its controls."""
 
@@ -123,10 +123,25 @@ def test_a_map_that_one_side_lacks_is_not_in_the_list_and_a_map_that_nobody_has_
     assert browser.js(chosen) == ["skin, lit", "studio"]
     names = listed(browser)
     assert ROUGHNESS not in names
-    assert "mirror share of n = 1.4" in names
+    assert {"occlusion", "mirror share of n = 1.4"} <= set(names)
     for name in names:
         picture = shown(browser, lacking, f"map={name}&around=none&wipe=0.7", tmp_path)
         assert (picture.max(axis=2) > 60).sum() > 5_000, name
+    assert browser.errors == []
+
+
+def test_numbers_are_shown_as_they_are_stored_and_colours_too(
+    browser: Browser, page: Path, tmp_path: Path
+) -> None:
+    wanted = {
+        "normals": (127, 127, 250),  # the ball's own, (0, 0, 1), and noise
+        "occlusion": (127, 127, 127),  # even between 0 and 1
+        "diffuse albedo": (203, 89, 89),  # sRGB of .6 and .1
+    }
+    for name, expected in wanted.items():
+        picture = shown(browser, page, f"map={name}&around=none&wipe=0", tmp_path)
+        head = np.abs(picture - 34).max(axis=2) > 10  # the background is #222
+        np.testing.assert_allclose(np.median(picture[head], axis=0), expected, atol=8, err_msg=name)
     assert browser.errors == []
 
 

@@ -74,6 +74,21 @@ def test_a_forty_pixel_picture_and_a_truncated_one_are_refused_by_name(tmp_path:
     assert "cut.jpg" in refusal(cut)
 
 
+def test_files_of_other_kinds_are_named_as_what_they_are(tmp_path: Path) -> None:
+    whole = tmp_path / "whole.tif"
+    tifffile.imwrite(whole, picture(), photometric="rgb")
+    kinds = {
+        b"": "an empty file",
+        b"\0\0\0\x18ftypheic" + bytes(20): "a HEIC or AVIF",
+        whole.read_bytes()[:-100]: "a TIFF that is truncated",
+        b"GIF89a" + bytes(20): "another kind of file",
+    }
+    for data, named in kinds.items():
+        (tmp_path / "a.jpg").write_bytes(data)
+        found = refusal(tmp_path / "a.jpg")
+        assert (named in found, "export it as one of these" in found) == (True, True), found
+
+
 def test_printing_inks_and_cut_out_people_are_refused(tmp_path: Path) -> None:
     inks, clear = tmp_path / "inks.tif", tmp_path / "clear.png"
     four = np.dstack([picture(), np.full((SIZE, SIZE + 10), 9, np.uint8)])
