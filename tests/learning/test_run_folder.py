@@ -161,17 +161,3 @@ def test_all_files_of_a_run_have_the_users_own_permissions(
         os.umask(before)
     modes = {path.name: path.stat().st_mode & 0o777 for path in (tmp_path / "run").iterdir()}
     assert set(modes.values()) == {0o640}, modes
-
-
-def test_a_run_of_before_the_shading_could_be_chosen_goes_on_as_physical(
-    store_path: Path, tmp_path: Path
-) -> None:
-    run = tmp_path / "run"
-    run_interrupted(store_path, run, TINY, 1)
-    value = json.loads((run / INDEX).read_text())
-    del value["config"]["shading"]
-    (run / INDEX).write_text(json.dumps(value))
-    changed = dataclasses.replace(TINY, shading="paper")
-    with pytest.raises(CheckpointError, match="shading: found paper now, expected physical"):
-        train(open_store(store_path), run, changed, resume=True)
-    assert train(open_store(store_path), run, TINY, resume=True).steps == 6
