@@ -151,15 +151,6 @@ def test_a_signal_leaves_no_half_written_file(texture, tmp_path, number):
     assert os.listdir(tmp_path) == ["t.exr"]
 
 
-@pytest.mark.parametrize("name", ["capture", "check", "import"])
-def test_every_command_explains_itself(name):
-    done = subprocess.run(
-        [sys.executable, "-m", "lightstage", name, "--help"], capture_output=True, text=True
-    )
-    assert done.returncode == 0
-    assert "--json" in done.stdout
-
-
 def test_commands_start_without_what_few_of_them_need():
     """SciPy and numba take half a second of every command's start."""
     script = "import sys, lightstage.__main__; print(sorted({'numba', 'scipy'} & set(sys.modules)))"
