@@ -28,6 +28,8 @@ from sim.devices.led_device import LedDevice
 from sim.devices.wiring import Wires, shuffled_wires
 from tests.lightstage.conftest import make_rig
 
+pytestmark = pytest.mark.usefixtures("forked")
+
 QUICK = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=30.0)
 
 
