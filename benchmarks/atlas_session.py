@@ -32,9 +32,9 @@ CROPS = {"cheek": 2, "side of the nose": 31, "ear": 0}
 CROP_PX = 360
 
 
-def true_values(truth: ProcessedFolder, places: np.ndarray, name: str) -> np.ndarray:
-    """(n, c) a true atlas's map at the points of the true mesh that are closest to (n, 3) mm."""
-    mesh, image = read_obj(truth.registered_mesh), truth.read_atlas(name)
+def true_values(truth: ProcessedFolder, places: np.ndarray) -> np.ndarray:
+    """(n, 3) true diffuse albedo at the points of the true mesh that are closest to (n, 3) mm."""
+    mesh, image = read_obj(truth.registered_mesh), truth.read_atlas("diffuse_albedo")
     assert mesh.uvs is not None
     triangles, corners = mesh.triangles(), mesh.uvs[mesh.triangle_uvs()]
     vertices = mesh.vertices[triangles]
@@ -102,7 +102,7 @@ def by_peer(
     inside.reshape(-1)[texels] = True
     right = np.zeros_like(found)
     place = raster.at(mesh.vertices, mesh.triangles(), texels)
-    right.reshape(-1, 3)[texels] = true_values(truth, place.astype(float), "diffuse_albedo")
+    right.reshape(-1, 3)[texels] = true_values(truth, place.astype(float))
     warped, _ = aligned(found, right, inside)
     plain, after = (psnr((image - right)[inside]) for image in (found, warped))
     share = len(texels) / ours.sum()
@@ -180,7 +180,7 @@ def main() -> None:
     inside = (coverage >= 2) & (out.read_atlas("filled") == 0)
     found = out.read_atlas("diffuse_albedo")
     right = np.zeros_like(found)
-    right[inside] = true_values(truth, place[inside].astype(float), "diffuse_albedo")
+    right[inside] = true_values(truth, place[inside].astype(float))
     gain = float((found[inside] * right[inside]).sum() / (found[inside] ** 2).sum())
     warped, shift = aligned(found, right, inside)
     texel = json.loads((arguments.out / "report.json").read_text())["stages"]["atlas"]

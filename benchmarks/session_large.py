@@ -63,7 +63,7 @@ def albedo_psnr(out: ProcessedFolder, truth: ProcessedFolder) -> float:
     chosen = np.random.default_rng(0).choice(chosen, min(CHECKED_TEXELS, len(chosen)), False)
     places = out.read_atlas("position").reshape(-1, 3)[chosen].astype(float)
     found = out.read_atlas("diffuse_albedo").reshape(-1, 3)[chosen]
-    return psnr(found - true_values(truth, places, "diffuse_albedo"))
+    return psnr(found - true_values(truth, places))
 
 
 def mesh_error(out: Path, truth: ProcessedFolder, rig: Rig) -> str:

@@ -137,15 +137,12 @@ def marks(
     return shown
 
 
-def line_chart(
-    curves: Mapping[str, tuple[np.ndarray, np.ndarray]], x_label: str, y_label: str
-) -> np.ndarray:
-    """Curves over one axis, the vertical one logarithmic.
+def line_chart(curves: Mapping[str, tuple[np.ndarray, np.ndarray]], x_label: str) -> np.ndarray:
+    """Curves of losses over one axis, the vertical one logarithmic.
 
     Args:
         curves: name to (x, y), each (n,) finite, y above 0.
         x_label: with unit.
-        y_label: with unit.
 
     Returns:
         (360, 720, 3) uint8.
@@ -173,7 +170,7 @@ def line_chart(
         cv2.line(image, (column, top), (column, height - bottom), (240, 240, 240), 1)
         _write(image, f"{x:.3g}", (column - 12, height - bottom + 18))
     _write(image, x_label, (width // 2 - 40, height - 10))
-    _write(image, y_label, (6, 14))
+    _write(image, "loss", (6, 14))
     for index, (name, (x, y)) in enumerate(curves.items()):
         colour = COLOURS[index % len(COLOURS)]
         ring = (place(x, np.log10(y)) * 2**SHIFT).astype(np.int32).reshape(-1, 1, 2)

@@ -326,7 +326,7 @@ def _losses(demo: Demo) -> str | Picture:
     if not curves:
         return "The training was too short for a curve."
     return Picture(
-        line_chart(curves, "seconds of training", "loss"),
+        line_chart(curves, "seconds of training"),
         "Losses while training: the mean squared error of the diffuse albedo, sRGB-encoded, and of "
         "the specular albedo's logarithm. Both should fall.",
         "losses",

@@ -350,9 +350,6 @@ def of_family(path: Path, family: str) -> tuple[Checkpoint, Path]:
 def fill(network: nn.Module, tensors: dict[str, Tensor], where: Path) -> None:
     """Put weights into a network; CheckpointError when they are not its own."""
     own_tensors = network.state_dict()
-    # What checkpoints of before did not have stays as a new network has it.
-    added = getattr(network, "ADDED", ())
-    tensors = {**{name: own_tensors[name] for name in added}, **tensors}
     # Weights of another type would be converted in silence.
     for name, own in own_tensors.items():
         if name in tensors and tensors[name].dtype != own.dtype:

@@ -40,7 +40,6 @@ from lightstage.errors import FormatError
 from lightstage.formats.config import as_dict
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder
-from lightstage.formats.template import default_template_path, load_template
 from processing.dataset import read_head_pose
 
 SCORED_SETS = 120
@@ -185,22 +184,16 @@ def occlusion_table_for(path: Path | None, mesh: Mesh) -> OcclusionTable:
     Raises:
         CheckpointError: no table, or one of another UV.
     """
-    if path is None:
-        where, table = default_occlusion_path(), default_occlusion()
-        own = load_template(default_template_path()).mesh
-        face: np.ndarray | None = rasterise(own, *table.covered.shape).face
-    else:
-        where, table = path, load_occlusion(path)
-        face = table.face
-    if face is not None:
-        _require_uv(
-            face,
-            mesh,
-            where,
-            "a head of the UV that the table was baked in",
-            "Bake one of the head's template by `lightstage-learning occlusion --template`, "
-            "or use --shadows baked.",
-        )
+    where = path or default_occlusion_path()
+    table = default_occlusion() if path is None else load_occlusion(path)
+    _require_uv(
+        table.face,
+        mesh,
+        where,
+        "a head of the UV that the table was baked in",
+        "Bake one of the head's template by `lightstage-learning occlusion --template`, "
+        "or use --shadows baked.",
+    )
     return table
 
 

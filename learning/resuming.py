@@ -11,10 +11,6 @@ from lightstage.formats.config import as_dict
 from lightstage.formats.values import parse_json
 from processing.dataset import Store
 
-BEFORE = {"shading": "physical", "ema": 0.0, "steps": None}
-"""What a run did that began before these could be chosen."""
-BEFORE_DATA = {"whole": True}
-"""The same of the table `data`."""
 FREE = ("seconds", "precision", "compile", "save_seconds", "log_steps")
 """Configuration that may differ when a run is resumed: how long, how fast, and what is written."""
 MOST_NAMED = 4
@@ -42,13 +38,10 @@ def require_same_run(checkpoint: Checkpoint, config: Any, store: Store) -> None:
             hint="Resume with the --preset that the run began with, or choose another --out.",
         )
     wanted = parse_json(json.dumps(as_dict(config)), "configuration")
-    # Not every family has all of these to choose.
-    before = {name: value for name, value in BEFORE.items() if name in wanted}
-    begun = {**before, **checkpoint.config}
-    if isinstance(begun.get("data"), dict):
-        begun["data"] = {**BEFORE_DATA, **begun["data"]}
     differing = {
-        name: values for name, values in _differences(begun, wanted).items() if name not in FREE
+        name: values
+        for name, values in _differences(checkpoint.config, wanted).items()
+        if name not in FREE
     }
     if differing:
         named = list(differing)[:MOST_NAMED]

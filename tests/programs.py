@@ -42,14 +42,19 @@ def run_program(program: str, *words: Any, interrupt_s: float = LONGEST_S) -> En
         words: the command line behind the program's name.
         interrupt_s: it gets Ctrl-C after so many seconds.
     """
-    argv = [f"lightstage-{program}", *map(str, words)]
+    app = importlib.import_module(f"{program}.__main__").app
+    return run_here(app, f"lightstage-{program}", *words, interrupt_s=interrupt_s)
+
+
+def run_here(app: typer.Typer, *argv: Any, interrupt_s: float = LONGEST_S) -> Ended:
+    """The same of any app, whose command line is given whole."""
     out, err = _text(), _text()
     with pytest.MonkeyPatch.context() as patch, _interrupted_after(interrupt_s):
-        patch.setattr(sys, "argv", argv)
+        patch.setattr(sys, "argv", [str(word) for word in argv])
         patch.setattr(typer.main, "get_command", _built_once)
         redirected = contextlib.redirect_stdout(out), contextlib.redirect_stderr(err)
         with redirected[0], redirected[1], pytest.raises(SystemExit) as ended:
-            run_app(importlib.import_module(f"{program}.__main__").app)
+            run_app(app)
     code = ended.value.code
     return Ended(code if isinstance(code, int) else 0, _said(out), _said(err))
 

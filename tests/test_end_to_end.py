@@ -28,6 +28,7 @@ from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path, load_template
 from tests.documents import PACKAGES, ROOT, commands, options, run_as_written
 from tests.programs import run_program
+from tests.waiting import until
 
 DONE_BY_THE_DEMO = ("lightstage-sim session", "lightstage-sim dataset", "lightstage-processing run")
 DONE_BY_THE_DEMO += ("lightstage-processing evaluate", "lightstage-learning ")
@@ -170,9 +171,7 @@ def is_done(out: Path, stage: str) -> bool:
 def an_interrupt_leaves_whole_files(at: Layout, out: Path) -> None:
     command = [sys.executable, "-m", "processing", *process(at, out)]
     running = subprocess.Popen(command, stderr=subprocess.DEVNULL, process_group=0)
-    until = time.monotonic() + 60
-    while not is_done(out, "decode") and time.monotonic() < until:
-        time.sleep(0.05)
+    until(lambda: is_done(out, "decode"), 60)
     assert running.poll() is None
     os.killpg(running.pid, signal.SIGINT)
     assert running.wait(60) != 0

@@ -9,7 +9,6 @@ one colour for all of the face; that of an untrained one is the mean person.
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar
 
 import torch
 import torch.nn.functional as functional
@@ -112,9 +111,6 @@ class Attention(nn.Module):
 
 class WholeFaceNetwork(nn.Module):
     """10 channels of a lit face to its albedo, beside the mean person's that it keeps."""
-
-    ADDED: ClassVar = ("mode_doubt",)
-    """Buffers that checkpoints of before do not have."""
 
     mean_log_albedo: Tensor
     mean_log_specular: Tensor

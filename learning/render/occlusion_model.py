@@ -45,16 +45,14 @@ class OcclusionConfig:
 class OcclusionTable:
     """Baked pictures of visibility, and interpolation between them."""
 
-    def __init__(
-        self, bits: np.ndarray, covered: np.ndarray, face: np.ndarray | None = None
-    ) -> None:
+    def __init__(self, bits: np.ndarray, covered: np.ndarray, face: np.ndarray) -> None:
         """A table.
 
         Args:
             bits: (d, ceil(t / 8)) uint8, packed visibility under `even_directions(d)`.
             covered: (rows, columns) bool, the t texels that show a surface.
             face: (rows, columns) int32 triangle that each texel shows, -1 for none, by which
-                another UV is noticed; None where it is not known.
+                another UV is noticed.
         """
         self.bits, self.covered, self.face = bits, covered, face
         self.directions = even_directions(len(bits))
@@ -106,10 +104,7 @@ class OcclusionTable:
     def save(self, path: Path) -> Path:
         """Write as a compressed .npz; returns `path`."""
         with atomic_path(path) as beside, beside.open("wb") as file:
-            if self.face is None:
-                np.savez_compressed(file, bits=self.bits, covered=self.covered)
-            else:
-                np.savez_compressed(file, bits=self.bits, covered=self.covered, face=self.face)
+            np.savez_compressed(file, bits=self.bits, covered=self.covered, face=self.face)
         return path
 
 
@@ -123,9 +118,7 @@ def load_occlusion(path: Path) -> OcclusionTable:
         raise CheckpointError(path, found="no such file", expected="a table of occlusion")
     try:
         with np.load(path, allow_pickle=False) as file:
-            bits, covered = file["bits"], file["covered"]
-            # Tables of before have none.
-            face = file["face"] if "face" in file.files else None
+            bits, covered, face = file["bits"], file["covered"], file["face"]
     except Exception as error:
         raise CheckpointError(path, found=str(error), expected="a table of occlusion") from None
     wide = -(-int(np.count_nonzero(covered)) // 8)
@@ -133,7 +126,7 @@ def load_occlusion(path: Path) -> OcclusionTable:
         raise CheckpointError(
             path, field="bits", found=str(bits.shape), expected=f"(directions, {wide}) uint8"
         )
-    if face is not None and (face.shape != covered.shape or face.dtype != np.int32):
+    if face.shape != covered.shape or face.dtype != np.int32:
         raise CheckpointError(
             path, field="face", found=str(face.shape), expected=f"{covered.shape} int32"
         )

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lightstage.checks.config import ChecksConfig
 from lightstage.checks.origin import strangers, too_old
 from lightstage.checks.photo_measures import Photo, measure_image, measure_photo
 from lightstage.checks.shot import ShotChecks
@@ -68,15 +67,12 @@ class CheckReport:
     unproven: tuple[str, ...] = ()
 
 
-def check_session(
-    root: Path, progress: ProgressCallback = quiet, config: ChecksConfig | None = None
-) -> CheckReport:
+def check_session(root: Path, progress: ProgressCallback = quiet) -> CheckReport:
     """Check every photograph of a session: there, unchanged, its own, readable, lit as recorded.
 
     Args:
         root: of the session.
         progress: counts photographs.
-        config: limits of the findings, as in a capture; what is refused has limits of its own.
 
     Raises:
         FormatError: every fault found, in one message.
@@ -99,7 +95,7 @@ def check_session(
     means: dict[tuple[str, str], float] = {}
     clipped: dict[tuple[str, str], float] = {}
     shots = [Shot(name, session.levels(name)) for name in session.file.sequence]
-    checks = ShotChecks(session.rig, shots, config)
+    checks = ShotChecks(session.rig, shots)
     done = 0
     for pattern in session.file.sequence:
         for frame in session.file.frames:

@@ -6,7 +6,7 @@ import re
 import unicodedata
 from pathlib import Path
 
-from lightstage.errors import FormatError, LightstageError
+from lightstage.errors import FormatError
 
 LONGEST = 64
 RESERVED = frozenset(
@@ -56,9 +56,7 @@ def name_problem(text: str) -> str | None:
     return None
 
 
-def require_pseudonym(
-    text: object, where: str | Path, field: str, error: type[LightstageError] = FormatError
-) -> str:
+def require_pseudonym(text: object, where: str | Path, field: str) -> str:
     """A file's subject or expression, in one spelling.
 
     A name with a blank is taken here, as sessions of before such were refused may have one.
@@ -67,16 +65,15 @@ def require_pseudonym(
         text: from the file.
         where: the file.
         field: of the file.
-        error: what to raise.
 
     Raises:
-        FormatError, or `error`: no text, or one that `pseudonym_problem` refuses.
+        FormatError: no text, or one that `pseudonym_problem` refuses.
     """
     composed = unicodedata.normalize("NFC", text) if isinstance(text, str) else ""
     wanted = pseudonym_problem(composed) if composed else "a pseudonym"
     if wanted is not None:
         shown = "none" if text is None else ascii(text)
-        raise error(
+        raise FormatError(
             where,
             field=field,
             found=shown if len(shown) <= 80 else f"{shown[:80]}..",

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
-from lightstage.operator.server import EventConfig, EventServer
+from lightstage.operator.server import EventServer
 
 
 class Writer(Protocol):
@@ -25,16 +25,15 @@ class Writer(Protocol):
 
 @contextlib.contextmanager
 def serve_events(
-    writer: Writer, request: Callable[[str, str], str | None], config: EventConfig | None = None
+    writer: Writer, request: Callable[[str, str], str | None]
 ) -> Iterator[EventServer]:
     """Serve a session's events as long as the block lasts; the journal names the socket.
 
     Args:
         writer: the session's, before another thread writes to it.
         request: called with what clients want done, such as Operator.request.
-        config: limits.
     """
-    with EventServer(writer.root / "journal.jsonl", request, config) as server:
+    with EventServer(writer.root / "journal.jsonl", request) as server:
         writer.listeners.append(server.receive)
         try:
             writer.note("note", said="others can follow", socket=str(server.path))

@@ -13,6 +13,7 @@ from rich.table import Table
 from lightstage.commands import JsonFlag, finish, output_file
 from lightstage.counting import counted
 from lightstage.errors import PatternError
+from lightstage.formats.png import write_png
 from lightstage.patterns.drive import Drive, drive_levels, split_emitters
 from lightstage.patterns.names import (
     MEANINGS,
@@ -23,7 +24,7 @@ from lightstage.patterns.names import (
     sequence_patterns,
 )
 from lightstage.patterns.own import UserPattern, read_patterns
-from lightstage.patterns.picture import pattern_sheet, write_sheet
+from lightstage.patterns.picture import pattern_sheet
 from lightstage.patterns.weights import unevenness
 from lightstage.rig import Rig, default_rig, load_rig
 from lightstage.sequence import plan_shots
@@ -94,7 +95,7 @@ def patterns_command(
             print("gradient and its complement, not six. Take `binary` for normals.")
     if out is not None:
         title = f"{counted(len(the_rig.lights), 'lamp')}, driven {_words(how)}"
-        write_sheet(out, pattern_sheet(the_rig, [(s.pattern, s.levels) for s in shots], title))
+        write_png(out, pattern_sheet(the_rig, [(s.pattern, s.levels) for s in shots], title))
     drawn = "" if out is None else f", drawn in {out}"
     finish(
         f"{counted(len(shots), 'pattern')} on {counted(len(the_rig.lights), 'lamp')} driven "

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-from lightstage.formats.png import write_png
 from lightstage.patterns.weights import solid_angles_sr
 from lightstage.rig import Rig
 
@@ -87,11 +85,6 @@ def pattern_sheet(
         sheet[y : y + ball_px, x : x + ball_px] = balls[index]
     _legend(sheet, rig, 2 * gap, len(sheet) - 16)
     return sheet
-
-
-def write_sheet(path: Path, sheet: np.ndarray) -> Path:
-    """Write a (h, w, 3) sheet as PNG, atomically; returns `path`."""
-    return write_png(path, sheet)
 
 
 def _side(count: int, config: SheetConfig) -> int:

@@ -18,7 +18,7 @@ from lightstage.session.pseudonym import check_consent, check_pseudonym
 from lightstage.session.reading import last_run, read_journal
 from lightstage.session.reconciling import Reconciled
 from lightstage.session.recover import arrived, bring_home, reconcile
-from lightstage.session.state import Exposed, SessionState, state_of
+from lightstage.session.state import Exposed, SessionState
 from lightstage.session.writer import SessionWriter
 
 __all__ = [
@@ -47,7 +47,6 @@ __all__ = [
     "require_on_disk",
     "rig_hash",
     "session_from_journal",
-    "state_of",
     "utc_now",
     "whole_session",
     "why_not_delete",

@@ -322,11 +322,6 @@ class SessionState:
         self._gone[camera] -= set(files)  # a name comes again after a card was emptied
 
 
-def state_of(journal: Sequence[Line]) -> SessionState:
-    """What is kept, outstanding and still wanted, from the lines of a journal."""
-    return SessionState(journal)
-
-
 def card_files(files: Iterable[Sequence[Any]]) -> set[CardFile]:
     """Files of a card as a journal has them: name and size."""
     return {CardFile(str(name), int(size)) for name, size in files}

@@ -135,7 +135,7 @@ def add_scan(store: Path, root: Path, consents: Path | None = None) -> str:
     Raises:
         FormatError, DatasetError: as `build_store`, or a store of an earlier version.
     """
-    _require_store(store)
+    open_store(store)  # for its messages, where it is none
     entry, maps = read_scan(root)
     if not entry.synthetic:
         require_consents(consents, "research", {f"{entry.subject} in {root}": entry.consent})
@@ -175,7 +175,7 @@ def remove_scans(store: Path, names: Sequence[str]) -> list[Entry]:
     Raises:
         DatasetError: a name that no scan has, or the last scan.
     """
-    _require_store(store)
+    open_store(store)  # for its messages, where it is none
     with _changing(store):
         before = read_entries(store)
         there = {entry.folder for entry in before}
@@ -236,11 +236,6 @@ def folder_of(entry: ScanEntry) -> str:
     # Two people's scans of the same files are two scans.
     key = "\0".join((entry.subject, entry.expression, entry.sha256))
     return hashlib.sha256(key.encode()).hexdigest()[:FOLDER_DIGITS]
-
-
-def _require_store(store: Path) -> None:
-    """Refuse what is no store with the messages of `open_store`."""
-    open_store(store)
 
 
 def _named(store: Path, entries: Sequence[Entry]) -> dict[str, ScanEntry]:

@@ -11,7 +11,7 @@ class Window(NamedTuple):
     """A window of one view's frames.
 
     Attributes:
-        half: (P, h, w, 3) uint16 bits of half floats, or float32.
+        half: (P, h, w, 3) uint16 bits of half floats.
         scale: what the readings are multiplied by.
         mask: (h, w) bool, which pixels to solve.
         valid: (h, w) bool, false where clipped.

@@ -42,7 +42,7 @@ class Readings:
     """What a window of a picture reads, and from where it is seen.
 
     Attributes:
-        values: (P, h, w, 3) float16 or float32, times `scale`.
+        values: (P, h, w, 3) float16, times `scale`.
         scale: of the readings.
         mask: (h, w) bool, which to solve.
         valid: (h, w) bool, false where clipped.
@@ -107,7 +107,7 @@ def window_readings(
     origin: tuple[int, int],
     camera: Camera,
 ) -> Readings:
-    """Readings of a window of one camera's picture: (P, h, w, 3) values, (h, w) mask and valid."""
+    """Readings of a window of one camera's picture: (P, h, w, 3) halves, (h, w) mask and valid."""
     step_px = max(1, int(RAY_STEP_RAD * camera.fx_px))
     rays = camera_rays(camera, step_px)
     where, fine = camera.centre_mm, px_per_mm(camera)
@@ -144,9 +144,8 @@ def separate_window(readings: Readings, lights: PatternLights, config: SeparateC
         view = _mean_ray(readings)
     tables = far_tables(lights, -view, config.roughness, skin_interface())
     sums = np.zeros((*(-(-side // block) for side in mask.shape), SUMS + 1), np.float32)
-    values = readings.values
     # Never written to, whoever gave them: the loop is compiled once, as it is for mapped files.
-    half = values.view(np.uint16 if values.dtype == np.float16 else values.dtype)
+    half = readings.values.view(np.uint16)
     half.flags.writeable = False
     window = Window(
         half=half,

@@ -7,13 +7,11 @@ import numpy as np
 from processing.errors import ProcessingError
 
 
-def axis_pairs(patterns: tuple[str, ...], prefix: str = "", suffix: str = "") -> np.ndarray:
+def axis_pairs(patterns: tuple[str, ...]) -> np.ndarray:
     """Indices of x+ x-, y+ y-, z+ z- among patterns.
 
     Args:
         patterns: names.
-        prefix: before each, such as ``lin-``.
-        suffix: after each, such as ``@cross``.
 
     Returns:
         (3, 2) int64.
@@ -21,7 +19,7 @@ def axis_pairs(patterns: tuple[str, ...], prefix: str = "", suffix: str = "") ->
     Raises:
         ProcessingError: one of the six is missing.
     """
-    wanted = [[f"{prefix}{axis}{sign}{suffix}" for sign in "+-"] for axis in "xyz"]
+    wanted = [[f"{axis}{sign}" for sign in "+-"] for axis in "xyz"]
     missing = [name for pair in wanted for name in pair if name not in patterns]
     if missing:
         raise ProcessingError(

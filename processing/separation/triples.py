@@ -38,19 +38,17 @@ def _chunks(context: Any, builder: Any, kind: Any, array: Any, first: Any) -> li
 def load_triples(typing_context: Any, array: Any, first: Any) -> Any:
     """Red, green and blue of eight pixels of a flat array, from an index on (not checked).
 
-    The array holds float32, or half floats' bits (uint16), which the processor turns.
+    The array holds half floats' bits (uint16), which the processor turns.
     """
     del typing_context, first
-    if not isinstance(array, types.Array) or array.dtype not in (types.uint16, types.float32):
+    if not isinstance(array, types.Array) or array.dtype != types.uint16:
         return None
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        kind = signature.args[0]
-        align = 2 if kind.dtype == types.uint16 else 4
-        found = []
-        for place in _chunks(context, builder, kind, args[0], args[1]):
-            chunk = builder.load(place, align=align)
-            found.append(builder.fpext(chunk, _VECTOR) if align == 2 else chunk)
+        found = [
+            builder.fpext(builder.load(place, align=2), _VECTOR)
+            for place in _chunks(context, builder, signature.args[0], args[0], args[1])
+        ]
         colours = []
         for colour in range(3):
             places = [3 * pixel + colour for pixel in range(LANES)]

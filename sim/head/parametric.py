@@ -1,4 +1,4 @@
-"""The parametric head: identity and expression to a mesh in the template's topology and UV."""
+"""The parametric head: a person and an expression to a mesh in the template's topology and UV."""
 
 from __future__ import annotations
 
@@ -6,55 +6,11 @@ import numpy as np
 
 from lightstage.formats.mesh import Mesh
 from sim.errors import SimError
-from sim.head.expressions import EXPRESSIONS, expressed, expression_modes
+from sim.head.expressions import EXPRESSIONS, expressed
 from sim.head.eyes import clear_of_eyes, eye_centres, seat_balls
 from sim.head.fields import BROAD, LOCAL, identity_fields
 from sim.head.mesh import grid_vertices, neutral_mesh
-from sim.head.modes import identity_modes
 from sim.people.traits import Traits, random_traits
-
-
-def parametric_head(identity: np.ndarray, expression: str | None = None) -> Mesh:
-    """A head of the linear model.
-
-    Args:
-        identity: (k,) coefficients of the first k identity modes, in standard deviations.
-        expression: one of `EXPRESSIONS`, at full strength; None or ``neutral`` for none.
-
-    Returns:
-        Mesh in the head frame, mm.
-
-    Raises:
-        SimError: more coefficients than modes, not finite, or an unknown expression.
-    """
-    coefficients = np.atleast_1d(np.asarray(identity, float))
-    modes = identity_modes()
-    if coefficients.ndim != 1 or len(coefficients) > len(modes):
-        raise SimError(
-            "parametric head",
-            field="identity",
-            found=f"shape {coefficients.shape}",
-            expected=f"at most {len(modes)} coefficients",
-        )
-    if not np.isfinite(coefficients).all():
-        raise SimError("parametric head", field="identity", found="NaN", expected="finite numbers")
-    mesh = neutral_mesh()
-    offset = np.tensordot(coefficients, modes[: len(coefficients)], axes=1)
-    return mesh.with_vertices(mesh.vertices + offset + expression_offset(expression))
-
-
-def expression_offset(expression: str | None) -> np.ndarray:
-    """(n, 3) mm displacement of an expression at full strength; SimError when unknown."""
-    if expression in (None, "neutral"):
-        return np.zeros_like(neutral_mesh().vertices)
-    if expression not in EXPRESSIONS:
-        raise SimError(
-            "parametric head",
-            field="expression",
-            found=repr(expression),
-            expected="neutral, " + ", ".join(EXPRESSIONS),
-        )
-    return expression_modes()[EXPRESSIONS.index(expression)]
 
 
 def random_head(
@@ -62,17 +18,23 @@ def random_head(
 ) -> Mesh:
     """A head drawn over all anatomical fields, so not quite within the modes' span; head frame.
 
-    Its lids rest on its own eyeballs and close over them; `parametric_head` is linear instead.
+    Its lids rest on its own eyeballs and close over them.
 
     Args:
         rng: of the draw; the same state gives the same person whatever the expression.
-        expression: as in `parametric_head`.
+        expression: one of `EXPRESSIONS`, at full strength; None or ``neutral`` for none.
         traits: sex and age shift the means of the draw; None draws them too.
 
     Raises:
         SimError: an unknown expression.
     """
-    expression_offset(expression)
+    if expression not in (None, "neutral", *EXPRESSIONS):
+        raise SimError(
+            "parametric head",
+            field="expression",
+            found=repr(expression),
+            expected="neutral, " + ", ".join(EXPRESSIONS),
+        )
     mesh = neutral_mesh()
     vertices = mesh.vertices + _random_offset(rng, traits or random_traits(rng))
     index = grid_vertices()

@@ -71,23 +71,20 @@ def empty(left: float, right: float, bottom: float, top: float, pixel: float) ->
     return Chart(np.zeros(shape, np.float32), left, top, pixel)
 
 
-def draw_lines(
-    chart: Chart, lines: Sequence[np.ndarray], strengths: Sequence[np.ndarray], width_px: int = 1
-) -> None:
-    """Draw anti-aliased lines onto a chart, in place; crossing lines keep the stronger.
+def draw_lines(chart: Chart, lines: Sequence[np.ndarray], strengths: Sequence[np.ndarray]) -> None:
+    """Draw lines a pixel wide onto a chart, in place; crossing lines keep the stronger.
 
     Args:
         chart: drawn on.
         lines: each (k, 2) mm.
         strengths: each (k,) 0..1, or (1,) for the whole line.
-        width_px: of the lines.
     """
     for line, strength in zip(lines, strengths, strict=True):
         place = np.empty((len(line), 2))
         place[:, 0] = (line[:, 0] - chart.left) / chart.pixel - 0.5
         place[:, 1] = (chart.top - line[:, 1]) / chart.pixel - 0.5
-        low = np.maximum(np.floor(place.min(axis=0)).astype(int) - width_px - 2, 0)
-        high = np.ceil(place.max(axis=0)).astype(int) + width_px + 3
+        low = np.maximum(np.floor(place.min(axis=0)).astype(int) - 3, 0)
+        high = np.ceil(place.max(axis=0)).astype(int) + 4
         part = chart.picture[low[1] : high[1], low[0] : high[0]]
         if part.size == 0:
             continue
@@ -97,7 +94,7 @@ def draw_lines(
         greys = np.clip(127.5 * (levels[1:] + levels[:-1]), 0, 255).round().astype(int).tolist()
         ends = fixed.tolist()
         for k, grey in enumerate(greys):
-            cv2.line(layer, ends[k], ends[k + 1], grey, width_px, cv2.LINE_AA, _SHIFT)
+            cv2.line(layer, ends[k], ends[k + 1], grey, 1, cv2.LINE_AA, _SHIFT)
         np.maximum(part, layer.astype(np.float32) / 255, out=part)
 
 

@@ -81,7 +81,7 @@ def draw_hair(
         e, length = rng.uniform(-0.75, 1.0), rng.uniform(0.4, 0.9)
         hairs.append(curve([(e, 0.0), (e + 0.08 * (0.2 + e), -length)], 4) - (0, 0.45))
         strengths.append(lashes * np.linspace(0.55, 0.15, 4) * rng.uniform(0.4, 1))
-    draw_lines(lash, hairs, strengths, 1)
+    draw_lines(lash, hairs, strengths)
     brow = brow.softened(0.4 * texel_mm)
     return HairCharts(brow, dataclasses.replace(lash, picture=_soft(lash.picture, texel_mm)))
 

@@ -11,12 +11,16 @@ import typer
 import lightstage
 
 PROGRAMS = ("lightstage", "processing", "learning", "sim")
+WITHOUT_JSON = [("sim", (name,)) for name in ("stage", "calibrate", "icl")]
+"""Commands that stand for devices."""
 
 
 def test_every_command_explains_itself_in_whole(each_command, run_command):
     ended = run_command(each_command.program, *each_command.words, "--help")
     assert ended.code == 0
     assert "<bool>" not in ended.out
+    takes_json = any("--json" in param.opts for param in each_command.parser.params)
+    assert takes_json == ((each_command.program, each_command.words) not in WITHOUT_JSON)
     shown = " ".join(ended.out.split())
     for param in each_command.parser.params:
         if getattr(param, "help", None):

@@ -6,12 +6,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from demo.measure import run_measured, tree_rss_kb
+from tests.waiting import until
 
 HOLD = "import time; block = bytearray(120_000_000); time.sleep(1.2)"
 
@@ -54,9 +54,7 @@ def test_an_interrupt_is_sent_once_and_waited_for(tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-c", outer], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(root)}
     )
-    until = time.monotonic() + 30
-    while not (tmp_path / "ready").exists() and time.monotonic() < until:
-        time.sleep(0.05)
+    until((tmp_path / "ready").exists, 30)
     process.send_signal(signal.SIGINT)
     assert process.wait(30) == 130
     assert (tmp_path / "seen").read_text() == "once"
@@ -69,10 +67,7 @@ def test_odd_process_names_do_not_confuse_the_count(tmp_path: Path, name: str) -
     process = subprocess.Popen([str(link), "5"])
     try:
         # Right after it began, a process may have no page yet.
-        until = time.monotonic() + 10
-        while (found := tree_rss_kb(process.pid)) <= 100 and time.monotonic() < until:
-            time.sleep(0.05)
-        assert found > 100
+        until(lambda: tree_rss_kb(process.pid) > 100, 10)
     finally:
         process.kill()
         process.wait()

@@ -87,7 +87,7 @@ def test_wires_cover_the_side_that_is_seen_and_no_other(camera: Camera) -> None:
 
 def drawn_curve(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """(h, w) bool: pixels of the only curve's blue, without the legend's."""
-    shown = line_chart({"loss": (x, y)}, "s", "loss").astype(int)
+    shown = line_chart({"loss": (x, y)}, "s").astype(int)
     blue = (shown[:, :, 2] > 120) & (shown[:, :, 0] < 120)
     blue[:40, 480:] = False
     return blue

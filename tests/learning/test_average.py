@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +12,12 @@ import torch
 
 from learning.average import follow, moving_average
 from learning.checkpoint import (
-    INDEX,
     load_generator,
     load_super_resolution,
     load_tensors,
     load_whole_face,
     read_checkpoint,
 )
-from learning.errors import CheckpointError
 from learning.four.networks import load_four_networks
 from learning.train import train
 from processing.dataset import open_store
@@ -100,22 +97,3 @@ def test_a_resumed_training_has_the_same_bits_its_average_too(
     for name in ("mean_log_albedo", "detail_shares", "mean_srgb"):
         if name in raw:
             assert torch.equal(raw[name], averaged[name])
-
-
-def test_a_run_of_before_there_was_an_average_goes_on_without_one(
-    store_path: Path, tmp_path: Path
-) -> None:
-    store, run = open_store(store_path), tmp_path / "run"
-    plain = dataclasses.replace(SHORT_FACES, ema=0.0)
-    with pytest.raises(KeyboardInterrupt):
-        train(store, run, plain, progress=stopping_after(2))
-    value = json.loads((run / INDEX).read_text())
-    assert "average" not in value["files"]
-    del value["config"]["ema"]
-    (run / INDEX).write_text(json.dumps(value))
-    with pytest.raises(CheckpointError, match=r"ema: found 0.9 now, expected 0.0, as the run"):
-        train(store, run, SHORT_FACES, resume=True)
-    assert train(store, run, plain, resume=True).steps == 5
-    raw = load_tensors(read_checkpoint(run), "network")
-    for name, values in load_whole_face(run)[0].state_dict().items():
-        assert torch.equal(values, raw[name])

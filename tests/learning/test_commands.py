@@ -13,7 +13,8 @@ from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
 from lightstage.formats.processed import ProcessedFolder, write_map
 from lightstage.rig import Rig, default_rig, load_rig, save_rig
-from tests.learning.export.called import run
+from tests.learning.export.called import printed, refusal
+from tests.programs import run_program
 
 TINY_TOML = """
 seconds = 0.3
@@ -53,21 +54,15 @@ def options(scene: dict[str, Path]) -> list[object]:
     return [word for name, path in scene.items() for word in (f"--{name}", path)]
 
 
-def test_render_writes_a_picture_of_the_head(
-    scene: dict[str, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_render_writes_a_picture_of_the_head(scene: dict[str, Path], tmp_path: Path) -> None:
     picture, lit = tmp_path / "head.png", tmp_path / "lit.exr"
     words = ["render", *options(scene), "--out", picture, "--camera", "cam1", "--json"]
     words += ["--background", "none"]
-    assert run(monkeypatch, *words) == 0
-    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    facts = json.loads(printed(*words).splitlines()[-1])
     image = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)
     assert image.shape == (facts["height_px"], facts["width_px"], 4)
     # The middle pixel shows the baked texture where its ray meets the ball.
-    assert run(monkeypatch, "bake", *options(scene), "--camera", "cam1", "--out", lit) == 0
+    printed("bake", *options(scene), "--camera", "cam1", "--out", lit)
     row, column = image.shape[0] // 2, image.shape[1] // 2
     camera = load_rig(scene["rig"]).camera("cam1")
     ray, eye = camera.rays_through(np.array(column + 0.5), np.array(row + 0.5)), camera.centre_mm
@@ -85,15 +80,12 @@ def test_render_writes_a_picture_of_the_head(
     assert image[0, 0].tolist() == [0, 0, 0, 0]
     linear = tmp_path / "head.exr"
     dark = ["render", *options(scene), "--out", linear, "--background", "black"]
-    assert run(monkeypatch, *dark) == 0
+    printed(*dark)
     assert not read_exr(linear)[0, 0].any()
 
 
 def test_render_leaves_out_what_was_not_captured_when_told(
-    scene: dict[str, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    scene: dict[str, Path], tmp_path: Path
 ) -> None:
     confidence = read_exr(scene["maps"] / "confidence.exr")
     confidence[: len(confidence) // 2] = 0
@@ -101,15 +93,12 @@ def test_render_leaves_out_what_was_not_captured_when_told(
     shown = []
     for flag in ([], ["--captured-only"]):
         words = ["render", *options(scene), "--out", tmp_path / "head.png", *flag, "--json"]
-        assert run(monkeypatch, *words) == 0
-        shown.append(json.loads(capsys.readouterr().out.splitlines()[-1])["surface_percent"])
+        shown.append(json.loads(printed(*words).splitlines()[-1])["surface_percent"])
     assert 0.3 * shown[0] < shown[1] < 0.7 * shown[0]
 
 
-def test_bake_writes_the_lit_texture(
-    scene: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert run(monkeypatch, "bake", *options(scene), "--out", tmp_path / "lit.exr") == 0
+def test_bake_writes_the_lit_texture(scene: dict[str, Path], tmp_path: Path) -> None:
+    printed("bake", *options(scene), "--out", tmp_path / "lit.exr")
     lit = read_exr(tmp_path / "lit.exr", finite=True)
     albedo = read_exr(scene["maps"] / "diffuse_albedo.exr")
     assert lit.shape == albedo.shape
@@ -120,11 +109,7 @@ def test_bake_writes_the_lit_texture(
 
 
 def test_train_then_infer_writes_the_maps(
-    store_path: Path,
-    people: list[ProcessedFolder],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    store_path: Path, people: list[ProcessedFolder], tmp_path: Path
 ) -> None:
     (tmp_path / "tiny.toml").write_text(TINY_TOML)
     train = [
@@ -138,17 +123,16 @@ def test_train_then_infer_writes_the_maps(
         "--config",
         tmp_path / "tiny.toml",
     ]
-    assert run(monkeypatch, *train) == 0
+    trained = printed(*train)
     saved = json.loads((tmp_path / "run" / "checkpoint.json").read_text())
-    assert f"PSNR {saved['metrics']['psnr_db']:.2f} dB;" in capsys.readouterr().out
-    assert run(monkeypatch, *train) == 2
-    assert "a run that is there already" in capsys.readouterr().err
-    assert run(monkeypatch, *train, "--resume", "--seconds", 0.2) == 0
+    assert f"PSNR {saved['metrics']['psnr_db']:.2f} dB;" in trained
+    assert "a run that is there already" in refusal(*train)
+    printed(*train, "--resume", "--seconds", 0.2)
     texture = people[1].atlas_path("diffuse_albedo")
     base = ["infer", "--mesh", people[1].registered_mesh, "--checkpoint", tmp_path / "run"]
     pose = ["--head-pose", people[1].head_pose]
     out = tmp_path / "maps"
-    assert run(monkeypatch, *base, "--texture", texture, "--out", out, *pose) == 0
+    printed(*base, "--texture", texture, "--out", out, *pose)
     assert sorted(p.stem for p in out.iterdir()) == [
         "confidence",
         "diffuse_albedo",
@@ -157,25 +141,24 @@ def test_train_then_infer_writes_the_maps(
         "specular_normal",
     ]
     small = write_exr(tmp_path / "small.exr", read_exr(texture)[::2, ::2])
-    assert run(monkeypatch, *base, "--texture", small, "--out", out) == 0
-    assert "resampled from 48 x 32 texels to the 96 rows" in capsys.readouterr().out
+    assert "resampled from 48 x 32 texels to the 96 rows" in printed(
+        *base, "--texture", small, "--out", out
+    )
     bad = read_exr(texture)
     bad[5, 7, 1] = np.nan
     refused = tmp_path / "refused"
     nan = write_exr(tmp_path / "nan.exr", bad)
-    assert run(monkeypatch, *base, "--texture", texture, "--out", store_path) == 2
-    assert "found a folder that holds dataset.json" in capsys.readouterr().err
-    assert run(monkeypatch, *base, "--texture", nan, "--out", refused) == 2
-    assert "element (5, 7, 1): found 1 NaN or infinite value," in capsys.readouterr().err
+    assert "found a folder that holds dataset.json" in refusal(
+        *base, "--texture", texture, "--out", store_path
+    )
+    assert "element (5, 7, 1): found 1 NaN or infinite value," in refusal(
+        *base, "--texture", nan, "--out", refused
+    )
     assert not refused.exists()
 
 
 def test_whole_faces_are_the_default_and_infer_keeps_a_textures_size(
-    store_path: Path,
-    people: list[ProcessedFolder],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    store_path: Path, people: list[ProcessedFolder], tmp_path: Path
 ) -> None:
     small = "steps = 2\ndetail_pairs = 1\ndoubt_faces = 8\n"
     network = "[network]\nrows = 48\ncolumns = 32\nwidth = 2\n"
@@ -190,35 +173,33 @@ def test_whole_faces_are_the_default_and_infer_keeps_a_textures_size(
         "--config",
         tmp_path / "small.toml",
     ]
-    assert run(monkeypatch, *train) == 0
-    assert "after the best gain a channel" in capsys.readouterr().out
+    assert "after the best gain a channel" in printed(*train)
     texture = read_exr(people[1].atlas_path("diffuse_albedo"))
     odd = write_exr(
         tmp_path / "odd.exr", cv2.resize(texture, (50, 75), interpolation=cv2.INTER_AREA)
     )
     base = ["infer", "--mesh", people[1].registered_mesh, "--texture", odd]
-    assert run(monkeypatch, *base, "--out", tmp_path / "maps", "--checkpoint", run_folder) == 0
+    printed(*base, "--out", tmp_path / "maps", "--checkpoint", run_folder)
     assert read_exr(tmp_path / "maps" / "diffuse_albedo.exr").shape == (75, 50, 3)
     assert np.isfinite(read_lights(tmp_path / "maps" / "light.json").ambient_rgb).all()
     # Without refinement no light is known, and none of an earlier call stays.
     again = [*base, "--out", tmp_path / "maps", "--checkpoint", run_folder, "--refine", "0"]
-    assert run(monkeypatch, *again) == 0
+    printed(*again)
     assert not (tmp_path / "maps" / "light.json").exists()
-    assert run(monkeypatch, *base, "--out", tmp_path / "nan", "--refine", "nan") == 2
-    assert "--refine: found nan, expected 0 to 3600 seconds" in capsys.readouterr().err
+    assert "--refine: found nan, expected 0 to 3600 seconds" in refusal(
+        *base, "--out", tmp_path / "nan", "--refine", "nan"
+    )
     # The shipped weights know our template's layout, and a ball's is another.
     large = write_exr(tmp_path / "large.exr", np.tile(texture, (2, 2, 1)))
     other = ["infer", "--mesh", people[1].registered_mesh, "--texture", large]
-    assert run(monkeypatch, *other, "--out", tmp_path / "other") == 2
-    assert "mm from where the people trained on have them" in capsys.readouterr().err
+    assert "mm from where the people trained on have them" in refusal(
+        *other, "--out", tmp_path / "other"
+    )
     assert not (tmp_path / "other").exists()
 
 
 def test_infer_refuses_a_captures_atlas_and_replaces_maps_all_at_once(
-    strangers: list[Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    strangers: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     captured = ProcessedFolder(shutil.copytree(strangers[0], tmp_path / "captured"))
     atlas = captured.root / "atlas"
@@ -229,11 +210,10 @@ def test_infer_refuses_a_captures_atlas_and_replaces_maps_all_at_once(
         return {path.name: path.read_bytes() for path in folder.iterdir()}
 
     before = content(atlas)
-    assert run(monkeypatch, *base, "--out", atlas) == 2
-    assert "found a folder that holds ambient_occlusion.exr" in capsys.readouterr().err
+    assert "found a folder that holds ambient_occlusion.exr" in refusal(*base, "--out", atlas)
     assert content(atlas) == before
     out = tmp_path / "maps"
-    assert run(monkeypatch, *base, "--out", out) == 0
+    printed(*base, "--out", out)
     first = content(out)
     calls = []
 
@@ -245,17 +225,14 @@ def test_infer_refuses_a_captures_atlas_and_replaces_maps_all_at_once(
 
     monkeypatch.setattr("learning.commands.write_map", interrupted)
     darker = write_exr(tmp_path / "darker.exr", 0.5 * read_exr(base[-1]))
-    assert run(monkeypatch, *base[:-1], darker, "--out", out) == 130
+    assert run_program("learning", *base[:-1], darker, "--out", out).code == 130
     assert len(calls) == 3
     assert content(out) == first
     assert sorted(path.name for path in tmp_path.iterdir()) == ["captured", "darker.exr", "maps"]
 
 
 def test_a_folder_that_is_another_commands_is_refused_before_any_work(
-    people: list[ProcessedFolder],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    people: list[ProcessedFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def never(*_: object, **__: object) -> None:
         raise AssertionError("began to work")
@@ -266,8 +243,9 @@ def test_a_folder_that_is_another_commands_is_refused_before_any_work(
     for where in ("learning.detail.command.read_source", "learning.photo.command.whole_face_of"):
         monkeypatch.setattr(where, never)
     for words in (("detail", people[0].root), ("fit", tmp_path / "photo.jpg")):
-        assert run(monkeypatch, *words, "--out", taken) == 2
-        assert "expected a new folder, or one made by the same command" in capsys.readouterr().err
+        assert "expected a new folder, or one made by the same command" in refusal(
+            *words, "--out", taken
+        )
     assert [path.name for path in taken.iterdir()] == ["thesis.txt"]
 
 
@@ -286,33 +264,23 @@ def test_a_configuration_that_states_a_trainings_length_twice_is_refused(
 
 
 def test_a_light_set_beside_a_configuration_without_a_table_of_lights_is_refused(
-    scene: dict[str, Path],
-    store_path: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    scene: dict[str, Path], store_path: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "lights.toml").write_text("lights = 3\n")
     words = ["train", "--data", store_path, "--out", tmp_path / "run"]
     words += ["--config", tmp_path / "lights.toml", "--environment", scene["environment"]]
-    assert run(monkeypatch, *words) == 2
-    assert "lights.toml, lights: found 3" in capsys.readouterr().err
+    assert "lights.toml, lights: found 3" in refusal(*words)
 
 
 def test_bad_input_is_one_message_and_exit_2(
-    scene: dict[str, Path],
-    store_path: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    scene: dict[str, Path], store_path: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "never.png"
 
     def refused(expected: str, *words: object, **changed: Path) -> None:
-        assert run(monkeypatch, *words, *options({**scene, **changed}), "--out", out) == 2
-        printed = capsys.readouterr().err
-        assert expected in printed
-        assert "Traceback" not in printed
+        message = refusal(*words, *options({**scene, **changed}), "--out", out)
+        assert expected in message
+        assert "Traceback" not in message
         assert not out.exists()
 
     mesh = read_obj(scene["mesh"])
@@ -336,10 +304,8 @@ def test_bad_input_is_one_message_and_exit_2(
         (scene["rig"], "expected 'lightstage.checkpoint/1'"),
         (scene["mesh"], "found suffix '.obj'"),
     ):
-        assert run(monkeypatch, *infer, "--checkpoint", checkpoint, "--out", tmp_path / "x") == 2
-        assert expected in capsys.readouterr().err
+        assert expected in refusal(*infer, "--checkpoint", checkpoint, "--out", tmp_path / "x")
     train = ["train", "--data", store_path, "--out", tmp_path / "run"]
-    assert run(monkeypatch, *train, "--preset", "huge") == 2
-    assert "one of modern, paper, demo, avatarme" in capsys.readouterr().err
-    assert run(monkeypatch, "train", "--data", tmp_path, "--out", tmp_path / "run") == 2
+    assert "one of modern, paper, demo, avatarme" in refusal(*train, "--preset", "huge")
+    refusal("train", "--data", tmp_path, "--out", tmp_path / "run")
     assert not (tmp_path / "run").exists()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-import sys
 from pathlib import Path
 
 import cv2
@@ -16,7 +15,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.ndimage import gaussian_filter
 
-from learning.__main__ import main
 from learning.checkpoint import load_mesostructure, load_whole_face, shipped_weights
 from learning.errors import TrainingError
 from learning.maps import load_head
@@ -43,6 +41,7 @@ from lightstage.formats.mesh import read_mesh
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path, load_template
 from processing.dataset import build_store, open_store
+from tests.learning.export.called import printed, refusal
 from tests.learning.test_whole_face import stopping_after
 
 TINY = MesostructureTrainConfig(
@@ -361,7 +360,7 @@ def test_infer_tilts_the_meshs_normals_where_the_texture_tells_and_nowhere_else(
     for name, chosen in (("with", str(run)), ("without", "none")):
         out = tmp_path / name
         main_args = [*asked, "--out", str(out), "--mesostructure", chosen, "--refine", "600"]
-        assert called(main_args) == 0
+        printed(*main_args)
         found[name] = {k: read_exr(out / f"{k}.exr") for k in ("diffuse_normal", "specular_normal")}
     angle = (found["with"]["diffuse_normal"] * found["without"]["diffuse_normal"]).sum(axis=2)
     there = head.raster.covered
@@ -382,18 +381,6 @@ def test_infer_tilts_the_meshs_normals_where_the_texture_tells_and_nowhere_else(
     assert np.degrees(apart.mean()) < 0.1
 
 
-def called(arguments: list[str]) -> int:
-    """Exit code of the command."""
-    before, sys.argv = sys.argv, ["lightstage-learning", *arguments]
-    try:
-        main()
-    except SystemExit as stopped:
-        return int(stopped.code or 0)
-    finally:
-        sys.argv = before
-    return 0
-
-
 def test_a_texture_with_too_few_rows_keeps_the_meshs_normals_and_reports_it(
     strangers: list[Path], run: Path
 ) -> None:
@@ -410,12 +397,11 @@ def test_a_texture_with_too_few_rows_keeps_the_meshs_normals_and_reports_it(
 
 
 def test_a_network_that_would_not_be_used_is_refused(
-    strangers: list[Path], run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    strangers: list[Path], run: Path, tmp_path: Path
 ) -> None:
     person = ProcessedFolder(strangers[0])
     write_exr(tmp_path / "T.exr", np.full((192, 128, 3), 0.3, np.float32))
     asked = ["infer", "--texture", str(tmp_path / "T.exr"), "--mesh", str(person.registered_mesh)]
     asked += ["--out", str(tmp_path / "out"), "--mesostructure", str(run), "--refine", "0"]
-    assert called(asked) == 2
-    assert "--mesostructure: found" in capsys.readouterr().err
+    assert "--mesostructure: found" in refusal(*asked)
     assert not (tmp_path / "out" / "diffuse_albedo.exr").exists()

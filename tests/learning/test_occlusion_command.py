@@ -21,15 +21,13 @@ from learning.render.occlusion_score import unseen_lights
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.mesh import read_mesh, write_obj
 from lightstage.formats.processed import ProcessedFolder
+from tests.learning.export.called import printed, refusal
 from tests.learning.test_occlusion_network import saved
-from tests.learning.test_render_commands import rig_file, run
+from tests.learning.test_render_commands import rig_file
 
 
 def test_the_command_trains_beside_the_table_and_render_shades_with_the_network(
-    people: list[ProcessedFolder],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    people: list[ProcessedFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "quick.toml").write_text("steps = 2\njoint_steps = 2\nregressed = 8\nbatch = 2\n")
     words = ["occlusion", "--directions", 64, "--out", tmp_path / "t.npz", "--json"]
@@ -43,8 +41,7 @@ def test_the_command_trains_beside_the_table_and_render_shades_with_the_network(
     fake = SimpleNamespace(process_time=lambda: next(clock))
     monkeypatch.setattr("learning.render.occlusion_score.time", fake)
     monkeypatch.setattr("learning.occlusion_run.SCORED_SETS", 50)
-    assert run(monkeypatch, *words, "--network", tmp_path / "own") == 0
-    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    facts = json.loads(printed(*words, "--network", tmp_path / "own").splitlines()[-1])
     network, _ = load_occlusion_network(tmp_path / "own")
     sizes, rng = network.config, np.random.default_rng([0, SCORED])
     mesh = read_head(person.registered_mesh).mesh
@@ -70,14 +67,14 @@ def test_the_command_trains_beside_the_table_and_render_shades_with_the_network(
     environment = write_lights(lights, tmp_path / "e.json")
     base = ["render", "--environment", environment, "--rig", rig_file(tmp_path)]
     base += ["--shadows", f"network:{tmp_path / 'own'}", "--out", tmp_path / "p.png"]
-    assert run(monkeypatch, *base, "--maps", person.root / "atlas") == 0
+    printed(*base, "--maps", person.root / "atlas")
     (tmp_path / "p.png").unlink()
-    assert run(monkeypatch, *base, "--maps", people[1].root / "atlas") == 2
-    assert "found 1 other head" in capsys.readouterr().err
+    assert "found 1 other head" in refusal(*base, "--maps", people[1].root / "atlas")
     assert not (tmp_path / "p.png").exists()
     base[base.index("--shadows") + 1] = "network:"
-    assert run(monkeypatch, *base, "--maps", person.root / "atlas") == 2
-    assert "expected baked, table, none, table:FILE, network:FILE" in capsys.readouterr().err
+    assert "expected baked, table, none, table:FILE, network:FILE" in refusal(
+        *base, "--maps", person.root / "atlas"
+    )
 
 
 @pytest.mark.parametrize(
@@ -100,26 +97,17 @@ def test_the_command_trains_beside_the_table_and_render_shades_with_the_network(
     ],
 )
 def test_a_network_that_cannot_be_trained_is_refused_before_any_work(
-    config: str,
-    words: tuple[str, ...],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    config: str, words: tuple[str, ...], message: str, tmp_path: Path
 ) -> None:
     (tmp_path / "c.toml").write_text(config)
     named = [word.replace("NETWORK", str(tmp_path / "n")) for word in words]
     base = ["occlusion", "--out", tmp_path / "t.npz", "--config", tmp_path / "c.toml"]
-    assert run(monkeypatch, *base, *named) == 2
-    assert message in capsys.readouterr().err
+    assert message in refusal(*base, *named)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c.toml"]
 
 
 def test_a_folder_with_something_else_in_it_is_kept(
-    people: list[ProcessedFolder],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    people: list[ProcessedFolder], tmp_path: Path
 ) -> None:
     taken = saved(tmp_path / "taken", read_mesh(people[0].registered_mesh))
     (tmp_path / "notes").mkdir()
@@ -127,6 +115,5 @@ def test_a_folder_with_something_else_in_it_is_kept(
     for folder, found in ((taken, "a run that is there already"), (tmp_path / "notes", "a.txt")):
         before = {p.name: p.read_bytes() for p in folder.iterdir()}
         words = ["occlusion", "--out", tmp_path / "t.npz", "--network", folder]
-        assert run(monkeypatch, *words) == 2
-        assert f"found {found}" in capsys.readouterr().err
+        assert f"found {found}" in refusal(*words)
         assert {p.name: p.read_bytes() for p in folder.iterdir()} == before

@@ -1,14 +1,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from learning.__main__ import main
 from learning.commands import RenderRequest, _lit_head
 from learning.errors import MapsError
 from learning.map_folders import require_texture_maps
@@ -23,13 +21,7 @@ from lightstage.formats.mesh import read_obj, write_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Rig, default_rig, save_rig
 from processing.colour import srgb_from_linear
-
-
-def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
-    monkeypatch.setattr(sys, "argv", ["lightstage-learning", *map(str, words)])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    return int(stopped.value.code or 0)
+from tests.learning.export.called import printed, refusal
 
 
 def rig_file(folder: Path) -> Path:
@@ -54,17 +46,14 @@ def table_of(person: ProcessedFolder, folder: Path) -> Path:
 
 
 def test_render_takes_a_picture_of_light_turns_it_and_goes_round_the_head(
-    people: list[ProcessedFolder],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    people: list[ProcessedFolder], tmp_path: Path
 ) -> None:
     base = ["render", "--maps", people[0].root / "atlas", "--rig", rig_file(tmp_path)]
     base += ["--environment", panorama(tmp_path / "room.exr"), "--lights", 12, "--json"]
 
     def picture(name: str, *words: object) -> np.ndarray:
         out = tmp_path / name
-        assert run(monkeypatch, *base, "--out", out, *words) == 0
+        printed(*base, "--out", out, *words)
         return read_exr(out)
 
     def redness(image: np.ndarray) -> float:
@@ -73,8 +62,8 @@ def test_render_takes_a_picture_of_light_turns_it_and_goes_round_the_head(
         return float(image[:, half:, 0].sum() / image[:, :half, 0].sum())
 
     black = ("--background", "black")
-    assert redness(picture("right.exr", *black)) > 1.5
-    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    facts = json.loads(printed(*base, "--out", tmp_path / "right.exr", *black).splitlines()[-1])
+    assert redness(read_exr(tmp_path / "right.exr")) > 1.5
     assert facts["lights"] == 12
     assert facts["notes"] == []
     assert redness(picture("left.exr", "--rotate", 180, *black)) < 0.7
@@ -83,15 +72,15 @@ def test_render_takes_a_picture_of_light_turns_it_and_goes_round_the_head(
     assert np.isfinite(table).all()
     unshadowed = picture("none.exr", "--shadows", "none", "--mode", "ggx", *black)
     assert 0.1 * unshadowed.sum() < table.sum() < 0.9 * unshadowed.sum()
-    capsys.readouterr()
     # Without a file it is our own template's, whose texture is another.
-    assert run(monkeypatch, *base, "--out", tmp_path / "x.exr", "--shadows", "table") == 2
-    assert "show the triangle of the head to render" in capsys.readouterr().err
+    assert "show the triangle of the head to render" in refusal(
+        *base, "--out", tmp_path / "x.exr", "--shadows", "table"
+    )
     for wrong in ("table:", f"table:{tmp_path / 'none.npz'}", "table:own", "tables"):
-        assert run(monkeypatch, *base, "--out", tmp_path / "x.exr", "--shadows", wrong) == 2
-    assert "table:FILE" in capsys.readouterr().err
+        message = refusal(*base, "--out", tmp_path / "x.exr", "--shadows", wrong)
+    assert "table:FILE" in message
     assert not (tmp_path / "x.exr").exists()
-    assert run(monkeypatch, *base, "--out", tmp_path / "t.png", "--turntable", 3) == 0
+    printed(*base, "--out", tmp_path / "t.png", "--turntable", 3)
     names = sorted(p.name for p in tmp_path.glob("t*.png"))
     assert names == ["t_000.png", "t_001.png", "t_002.png"]
     assert cv2.imread(str(tmp_path / "t_001.png"), cv2.IMREAD_UNCHANGED).shape[2] == 3
@@ -117,29 +106,24 @@ def test_pngs_are_over_their_background_and_without_one_keep_the_surfaces_colour
 
 
 def test_a_picture_without_a_background_is_a_png(
-    people: list[ProcessedFolder],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    people: list[ProcessedFolder], tmp_path: Path
 ) -> None:
     base = ["render", "--maps", people[0].root / "atlas", "--rig", rig_file(tmp_path)]
     base += ["--environment", panorama(tmp_path / "room.exr"), "--lights", 2]
     none = [*base, "--background", "none", "--out"]
-    assert run(monkeypatch, *none, tmp_path / "x.exr") == 2
-    assert "--background: found none, for x.exr" in capsys.readouterr().err
+    assert "--background: found none, for x.exr" in refusal(*none, tmp_path / "x.exr")
     assert not (tmp_path / "x.exr").exists()
-    assert run(monkeypatch, *none, tmp_path / "x.png") == 0
+    printed(*none, tmp_path / "x.png")
     picture = cv2.imread(str(tmp_path / "x.png"), cv2.IMREAD_UNCHANGED)
     assert picture.shape[2] == 4
     assert 0 < picture[..., 3].mean() < 255
 
 
-def test_occlusion_writes_a_table(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_occlusion_writes_a_table(tmp_path: Path) -> None:
     out = tmp_path / "table.npz"
-    assert run(monkeypatch, "occlusion", "--out", out, "--rows", 12, "--directions", 16) == 0
-    assert "16 directions at 12 x 8 texels" in capsys.readouterr().out
+    assert "16 directions at 12 x 8 texels" in printed(
+        "occlusion", "--out", out, "--rows", 12, "--directions", 16
+    )
     assert out.is_file()
 
 
@@ -152,27 +136,21 @@ def test_occlusion_writes_a_table(
     ],
 )
 def test_what_cannot_be_rendered_is_refused(
-    words: tuple[str, str],
-    message: str,
-    people: list[ProcessedFolder],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, str], message: str, people: list[ProcessedFolder], tmp_path: Path
 ) -> None:
     base = ["render", "--maps", people[0].root / "atlas", "--out", tmp_path / "never.png"]
     base += ["--environment", panorama(tmp_path / "room.exr"), *words]
-    assert run(monkeypatch, *base) == 2
-    assert message in capsys.readouterr().err
+    assert message in refusal(*base)
     assert not (tmp_path / "never.png").exists()
 
 
 def test_no_lights_at_all_leave_the_ambient_light(
-    people: list[ProcessedFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    people: list[ProcessedFolder], tmp_path: Path
 ) -> None:
     none = LightSet("none", np.zeros((0, 3)), np.zeros((0, 3)), np.full(3, 0.25))
     words = ["bake", "--maps", people[0].root / "atlas", "--mesh", people[0].registered_mesh]
     words += ["--environment", write_lights(none, tmp_path / "e.json")]
-    assert run(monkeypatch, *words, "--out", tmp_path / "lit.exr", "--rig", rig_file(tmp_path)) == 0
+    printed(*words, "--out", tmp_path / "lit.exr", "--rig", rig_file(tmp_path))
     albedo = read_exr(people[0].atlas_path("diffuse_albedo"))
     assert read_exr(tmp_path / "lit.exr").mean() == pytest.approx(0.25 * albedo.mean(), rel=0.02)
 
@@ -212,14 +190,12 @@ def test_a_folder_of_several_maps_is_reported_with_what_each_is(tmp_path: Path) 
 
 
 def test_render_of_a_processed_folder_names_which_maps_it_means(
-    people: list[ProcessedFolder],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    people: list[ProcessedFolder], tmp_path: Path
 ) -> None:
     words = ("render", "--maps", people[0].root, "--out", tmp_path / "never.png")
-    assert run(monkeypatch, *words, "--environment", panorama(tmp_path / "room.exr")) == 2
-    assert "the texture of one person" in capsys.readouterr().err
+    assert "the texture of one person" in refusal(
+        *words, "--environment", panorama(tmp_path / "room.exr")
+    )
 
 
 def test_a_table_of_shadows_takes_the_head_pose_that_is_beside_the_mesh(

@@ -14,7 +14,6 @@ import pytest
 import torch
 
 from learning.checkpoint import (
-    INDEX,
     load_mesostructure,
     load_super_resolution,
     load_tensors,
@@ -35,7 +34,6 @@ from learning.training import Task
 from learning.whole.score import FaceScore
 from lightstage.formats.config import as_dict, make_config
 from processing.dataset import Store, open_store
-from tests.learning.test_upscale import TINY as UPSCALE
 from tests.learning.test_whole_face import stopping_after
 
 CONFIGS = {config.family: config for config in FAMILIES.values()}
@@ -74,21 +72,6 @@ def test_shipped_weights_load_and_their_configuration_is_taken_as_it_stands(
         return bool(old == new)
 
     assert within(then, now)
-
-
-def test_a_super_resolution_of_before_it_had_an_average_goes_on_without_one(
-    store_path: Path, tmp_path: Path
-) -> None:
-    store, run = open_store(store_path), tmp_path / "run"
-    config = dataclasses.replace(UPSCALE, steps=6)
-    with pytest.raises(KeyboardInterrupt):
-        train(store, run, config, progress=stopping_after(2))
-    value = json.loads((run / INDEX).read_text())
-    for name in ("ema", "precision", "compile"):
-        del value["config"][name]
-    (run / INDEX).write_text(json.dumps(value))
-    assert train(store, run, config, resume=True).steps == 6
-    assert set(read_checkpoint(run).files) == {"network", "training"}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -35,7 +35,7 @@ from lightstage.formats.exr import read_exr, write_exr
 from processing.dataset import build_store, open_store
 from sim.people.dataset import make_plan, write_people
 from sim.people.table import load_table
-from tests.learning.export.called import run
+from tests.learning.export.called import printed, refusal
 
 SMALL = RcanConfig(groups=2, blocks=2, width=8, tail_width=6, reduction=2)
 TINY = UpscaleTrainConfig(
@@ -316,31 +316,23 @@ shadow_sets = 2
 """
 
 
-def test_train_then_upscale_by_the_commands(
-    store_path: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_train_then_upscale_by_the_commands(store_path: Path, tmp_path: Path) -> None:
     config, trained = tmp_path / "tiny.toml", tmp_path / "run"
     config.write_text(TINY_TOML)
     words = ["train", "--preset", "rcan-small", "--config", config, "--data", store_path]
-    assert run(monkeypatch, *words, "--out", trained) == 0
-    assert "textures of the people held out (person-2): PSNR" in capsys.readouterr().out
+    assert "textures of the people held out (person-2): PSNR" in printed(*words, "--out", trained)
     rng = np.random.default_rng(0)
     picture = write_exr(tmp_path / "small.exr", rng.random((12, 10, 3)))
     large = tmp_path / "large.exr"
     asked = ["upscale", picture, "--checkpoint", trained, "--out", large]
-    assert run(monkeypatch, *asked, "--times", 8, "--json") == 0
-    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    facts = json.loads(printed(*asked, "--times", 8, "--json").splitlines()[-1])
     assert (facts["rows"], facts["columns"], facts["trained_rows"]) == (96, 80, 96)
     found = read_exr(large, finite=True)
     assert found.shape == (96, 80, 3)
     small = read_exr(picture)
     assert abs(found.mean() - small.mean()) < 0.1
     large.unlink()
-    assert run(monkeypatch, *asked, "--times", 64) == 2
-    assert "--times: found 64, expected 8" in capsys.readouterr().err
+    assert "--times: found 64, expected 8" in refusal(*asked, "--times", 64)
     assert not large.exists()
 
 

@@ -15,6 +15,7 @@ import pytest
 from lightstage.commands import finish, progress_bar
 from lightstage.errors import DeviceError, LightstageError, RigError, one_error
 from lightstage.formats.exr import write_exr
+from tests.programs import run_here
 
 SCRIPT = """
 import time
@@ -37,17 +38,16 @@ def use(texture: Path, out: Path, slow: bool = False, as_json: bool = JsonFlag):
             print("ready", flush=True)
             time.sleep(30)
     finish(f"mean {image.mean():.1f}", {"mean": float(image.mean())}, as_json)
-
-run_app(app)
 """
-
-
+PROGRAM = f"{SCRIPT}\nrun_app(app)"
 SECONDS = r"\d+\.\d s"
 
 
 def run(*arguments):
-    command = [sys.executable, "-c", SCRIPT, "use", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True)
+    scope = {}
+    exec(SCRIPT, scope)
+    ended = run_here(scope["app"], "test", "use", *arguments)
+    return subprocess.CompletedProcess(arguments, ended.code, ended.out, ended.err)
 
 
 @pytest.fixture
@@ -71,7 +71,7 @@ def test_facts_are_json_where_a_number_is_none(capsys):
 
 
 def test_a_missing_argument_is_reported_with_what_it_is(tmp_path):
-    code = SCRIPT.replace("out: Path,", "out: Path = typer.Option(..., help='Where to write.'),")
+    code = PROGRAM.replace("out: Path,", "out: Path = typer.Option(..., help='Where to write.'),")
     done = subprocess.run([sys.executable, "-c", code, "use", "t"], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.endswith("Missing option '--out'.\nIt is: Where to write.\n")
@@ -98,7 +98,7 @@ def read_to_end(terminal: int) -> bytes:
 
 def test_a_terminal_gets_the_bar_and_no_such_line(texture, tmp_path):
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-c", SCRIPT, "use", str(texture), str(tmp_path / "out")]
+    command = [sys.executable, "-c", PROGRAM, "use", str(texture), str(tmp_path / "out")]
     environment = {**os.environ, "TERM": "xterm"}
     child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=theirs, env=environment)
     os.close(theirs)
@@ -142,22 +142,13 @@ def test_a_bug_shows_its_traceback_and_is_not_called_bad_input():
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_leaves_no_half_written_file(texture, tmp_path, number):
-    command = [sys.executable, "-c", SCRIPT, "use", str(texture), str(tmp_path / "out"), "--slow"]
+    command = [sys.executable, "-c", PROGRAM, "use", str(texture), str(tmp_path / "out"), "--slow"]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert child.stdout.readline() == "ready\n"
     child.send_signal(number)
     child.communicate(timeout=20)
     assert child.returncode not in (0, 2)
     assert os.listdir(tmp_path) == ["t.exr"]
-
-
-@pytest.mark.parametrize("name", ["capture", "check", "import"])
-def test_every_command_explains_itself(name):
-    done = subprocess.run(
-        [sys.executable, "-m", "lightstage", name, "--help"], capture_output=True, text=True
-    )
-    assert done.returncode == 0
-    assert "--json" in done.stdout
 
 
 def test_commands_start_without_what_few_of_them_need():

@@ -8,9 +8,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from lightstage.__main__ import app
 from lightstage.errors import FormatError, PatternError
 from lightstage.patterns import pattern_levels
 from lightstage.patterns.picture import pattern_sheet
@@ -27,6 +25,7 @@ from lightstage.rig import (
 )
 from lightstage.rig_oddities import odd_lights, rig_oddities
 from lightstage.rig_picture import draw_rig
+from tests.programs import run_program
 
 
 def value():
@@ -153,9 +152,9 @@ def test_what_is_odd_is_reported(code):
 def test_the_command_draws_and_says(tmp_path):
     rig = save_rig(ODD["distance"], tmp_path / "rig.json")
     picture = tmp_path / "rig.png"
-    done = CliRunner().invoke(app, ["rig", "check", str(rig), "--out", str(picture), "--json"])
-    assert done.exit_code == 0, done.output
-    facts = json.loads(done.stdout.strip().splitlines()[-1])
+    done = run_program("lightstage", "rig", "check", rig, "--out", picture, "--json")
+    assert done.code == 0, done.err
+    facts = json.loads(done.out.splitlines()[-1])
     assert [each["code"] for each in facts["odd"]] == ["distance"]
     assert facts["lights"] == 168
     shown = cv2.imread(str(picture))[..., ::-1].astype(int)
@@ -171,11 +170,11 @@ def test_the_command_names_which_channels_a_rig_uses(tmp_path):
         for light in default_rig().lights
     ]
     rig = save_rig(changed(lights=tuple(lights)), tmp_path / "rig.json")
-    done = CliRunner().invoke(app, ["rig", "check", str(rig), "--json"])
-    assert done.exit_code == 0, done.output
-    facts = json.loads(done.stdout.strip().splitlines()[-1])
+    done = run_program("lightstage", "rig", "check", rig, "--json")
+    assert done.code == 0, done.err
+    facts = json.loads(done.out.splitlines()[-1])
     assert (facts["addressed"], facts["channels"], facts["odd"]) == (True, {"main": [3, 170]}, [])
-    message = CliRunner().invoke(app, ["rig", "check", str(rig)]).stdout
+    message = run_program("lightstage", "rig", "check", rig).out
     assert "168 lamps on channels 3 to 170, 9 cameras" in message
 
 
@@ -185,6 +184,6 @@ def test_the_command_names_which_channels_of_which_controller_a_rig_uses(tmp_pat
         for light in default_rig().lights
     ]
     rig = save_rig(changed(lights=tuple(lights)), tmp_path / "rig.json")
-    message = CliRunner().invoke(app, ["rig", "check", str(rig)]).stdout
+    message = run_program("lightstage", "rig", "check", rig).out
     assert "168 lamps on channels 0 to 83 of a, channels 0 to 83 of b, 9 cameras" in message
     assert "nothing odd" in message

@@ -11,6 +11,23 @@ from processing.separation.view_readings import Pixels
 from processing.view_maps import PixelMaps
 
 
+def stored(values: np.ndarray) -> tuple[np.ndarray, float]:
+    """Values as a session's frames hold them: float16 of that shape, and what they are times.
+
+    The middle one is about 1, so that hardly anything is too small or too large for half floats.
+    """
+    lit = np.abs(values[np.isfinite(values) & (values != 0)])
+    scale = float(2.0 ** np.round(np.log2(np.median(lit)))) if lit.size else 1.0
+    with np.errstate(over="ignore"):
+        return (values / scale).astype(np.float16), scale
+
+
+def as_stored(values: np.ndarray) -> np.ndarray:
+    """float32 of what `stored` keeps of values."""
+    half, scale = stored(values)
+    return half.astype(np.float32) * np.float32(scale)
+
+
 def separate_at_once(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
     """What `separate_window` makes of a view's pixels under the lights of the P patterns."""
     mask = pixels.mask
@@ -21,5 +38,5 @@ def separate_at_once(pixels: Pixels, lights: PatternLights, config: SeparateConf
     good = np.zeros(mask.shape, bool)
     good[mask] = pixels.valid
     place = np.zeros(3) if pixels.camera is None else pixels.camera.centre_mm
-    readings = Readings(values, 1.0, mask, good, (0, 0), rays, 1, place, pixels.px_per_mm)
+    readings = Readings(*stored(values), mask, good, (0, 0), rays, 1, place, pixels.px_per_mm)
     return separate_window(readings, lights, config)

@@ -41,7 +41,7 @@ from processing.separation.view_readings import Pixels
 from processing.view_maps import PixelMaps
 from tests.processing import coarse_twin, lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg
-from tests.processing.one_pass import separate_at_once
+from tests.processing.one_pass import as_stored, separate_at_once, stored
 
 RIG = lit_ball.small_rig(factor=0.014)
 CAMERA = RIG.cameras[0]
@@ -69,11 +69,11 @@ def pixels_of(rgb: np.ndarray, camera: Camera | None = CAMERA) -> Pixels:
 
 
 def window_of(values: np.ndarray) -> Readings:
-    """Readings of the whole picture from (n, P, 3) values of the ball, in their own type."""
-    images = np.zeros((values.shape[1], *SIGHT.mask.shape, 3), values.dtype)
+    """Readings of the whole picture from (n, P, 3) values of the ball."""
+    images = np.zeros((values.shape[1], *SIGHT.mask.shape, 3), np.float32)
     images[:, SIGHT.mask] = values.transpose(1, 0, 2)
     valid = np.ones(SIGHT.mask.shape, bool)
-    return window_readings(images, 1.0, SIGHT.mask, valid, (0, 0), CAMERA)
+    return window_readings(*stored(images), SIGHT.mask, valid, (0, 0), CAMERA)
 
 
 def test_coarse_maps_agree_with_every_light_summed_in_float64() -> None:
@@ -95,9 +95,10 @@ def test_confidence_is_that_of_the_light_however_it_is_stored() -> None:
     whole = window_of(READ)
     found = separate_window(whole, LIGHTS, config).confidence
     assert 0.2 < np.median(found[INNER]) < 0.95
-    for scale in (8.0, 64.0):
-        stored = dataclasses.replace(whole, values=whole.values / np.float32(scale), scale=scale)
-        again = separate_window(stored, LIGHTS, config).confidence
+    for times in (8, 64):
+        scale = times * whole.scale
+        other = dataclasses.replace(whole, values=whole.values / np.float16(times), scale=scale)
+        again = separate_window(other, LIGHTS, config).confidence
         np.testing.assert_allclose(again, found, atol=1e-4)
 
 
@@ -116,7 +117,7 @@ def test_float32_is_within_a_ten_thousandth_of_float64_at_any_scale(
 ) -> None:
     scale = 10.0**power
     rng = np.random.default_rng(seed)
-    rgb = (READ * (1 + 0.02 * rng.standard_normal(READ.shape)) * scale).astype(np.float32)
+    rgb = as_stored(READ * (1 + 0.02 * rng.standard_normal(READ.shape)) * scale)
     # Nothing mirrored, no neighbours: what is left is each pixel's own.
     config = dataclasses.replace(
         CONFIG,
@@ -155,17 +156,6 @@ def test_places_on_the_rays_make_normals_beside_the_centre_better() -> None:
         for camera in (None, CAMERA)
     )
     assert near.mean() < 0.6 * far.mean()
-
-
-def test_half_floats_give_what_arrays_give() -> None:
-    half = READ.astype(np.float16)
-    from_arrays = maps_of(half.astype(np.float32))
-    from_window = separate_window(window_of(half), LIGHTS, CONFIG)
-    away = np.abs(from_window.diffuse_normal - from_arrays.diffuse_normal)
-    assert np.quantile(away, 0.99) < 2e-4
-    assert away.max() < 5e-3
-    np.testing.assert_allclose(from_window.albedo[INNER], from_arrays.albedo[INNER], atol=2e-3)
-    np.testing.assert_allclose(from_window.specular, from_arrays.specular, atol=1e-4)
 
 
 def test_a_window_gives_what_the_whole_picture_gives() -> None:
@@ -228,7 +218,8 @@ def test_normals_of_other_parts_of_rgb_are_right_without_gloss(part: str) -> Non
     matte = lit_ball.photograph(Ball(coated=True, specular=0.0), SIGHT, RIG).astype(np.float32)
     config = dataclasses.replace(CONFIG, normals=part)
     found = maps_of(matte, config).diffuse_normal
-    assert angle_deg(found, maps_of(matte).diffuse_normal)[INNER].max() < 0.05
+    # Half floats round each colour by itself.
+    assert angle_deg(found, maps_of(matte).diffuse_normal)[INNER].max() < 0.3
     glossy = maps_of(READ, config).diffuse_normal
     assert angle_deg(glossy, found)[INNER].mean() > 1
 

@@ -21,6 +21,7 @@ from processing.calibration.lights.wiring import CLEAR, Wiring, find_wiring, sur
 from sim.devices.target_stage import TargetStage
 from sim.devices.wiring import shuffled_wires
 from sim.targets.ball import Ball, highlights_mm
+from tests.forked import quickly
 from tests.processing.balls_in_stage import RADIUS_MM, displaced, small_rig
 
 QUICK = "[safety]\nlight_interval_s = 0.0\nmax_flashes_per_s = 30.0\n"
@@ -175,7 +176,8 @@ class Stage:
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory) -> Stage:
-    return Stage(tmp_path_factory.mktemp("wired"))
+    with quickly():
+        return Stage(tmp_path_factory.mktemp("wired"))
 
 
 def located(*words: object):

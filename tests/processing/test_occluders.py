@@ -19,11 +19,12 @@ from processing.closest import ClosestPoints
 from processing.errors import ReconstructionError
 from processing.pipeline import run
 from processing.pipeline_config import PipelineConfig
+from processing.reconstruction import stage
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.fusion import compact
 from processing.reconstruction.hull import KEEP_MM, STEPPED
 from processing.reconstruction.occluders import apart, found_occluders, nothing_beside
-from processing.reconstruction.stage import others_beside
+from processing.reconstruction.stage import Reconstructed, others_beside, reconstruct_views
 from processing.reconstruction.views import View
 from processing.refinement.stage import measured_alone
 from sim.light.world import World
@@ -129,6 +130,7 @@ class Collared(NamedTuple):
     facts: dict[str, Any]
     clothes: Mesh
     third: np.ndarray
+    matched: Reconstructed
 
 
 @pytest.fixture(scope="module")
@@ -147,9 +149,17 @@ def collared(tmp_path_factory: pytest.TempPathFactory, small_rig: Rig) -> Collar
     config = dataclasses.replace(
         PipelineConfig(), reconstruct=ReconstructConfig(splits=0, look_again=False)
     )
-    report = run(session, out, default_template_path(), config, until="reconstruct")
+    matched: list[Reconstructed] = []
+
+    def kept(*given: Any) -> Reconstructed:
+        matched.append(reconstruct_views(*given))
+        return matched[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stage, "reconstruct_views", kept)
+        report = run(session, out, default_template_path(), config, until="reconstruct")
     facts = report["stages"]["reconstruct"]
-    return Collared(session, ProcessedFolder(out), config, facts, clothes, third)
+    return Collared(session, ProcessedFolder(out), config, facts, clothes, third, matched[-1])
 
 
 def test_a_collar_of_any_colour_is_found_and_is_no_part_of_the_skins_mesh(
@@ -175,7 +185,7 @@ def test_a_collar_of_any_colour_is_found_and_is_no_part_of_the_skins_mesh(
 
 
 def test_the_hull_is_off_the_skin_and_without_it_mesh_and_cloth_are_the_same(
-    collared: Collared,
+    collared: Collared, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, facts = collared.out, collared.facts
     hull, skin = read_ply(folder.hull), read_ply(folder.base_mesh)
@@ -188,6 +198,8 @@ def test_the_hull_is_off_the_skin_and_without_it_mesh_and_cloth_are_the_same(
         collared.config,
         reconstruct=dataclasses.replace(collared.config.reconstruct, find_hull=False),
     )
+    # The hull is carved after the matching, whose result is taken as it was.
+    monkeypatch.setattr(stage, "reconstruct_views", lambda *_: collared.matched)
     mesh = folder.base_mesh.read_bytes()
     report = run(
         collared.session, folder.root, default_template_path(), without, until="reconstruct"

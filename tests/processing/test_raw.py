@@ -117,7 +117,7 @@ def test_pictures_stand_upright_however_the_camera_was_held(
     unpacked = unpack_raw(path)
     assert unpacked.orientation == raw.orientation
     unpacked.close()
-    ambient = found.astype(np.float32)[window.slices]
+    ambient = np.ascontiguousarray(found[window.slices], np.float32)
     out, clipped = np.zeros((*window.shape, 3), np.float16), np.zeros(window.shape, np.uint8)
     develop(open_raw(path), window, PLAIN, ambient, out, clipped)
     assert np.abs(out).max() < 2e-3

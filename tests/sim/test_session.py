@@ -171,6 +171,7 @@ def test_the_same_light_gives_the_same_bytes_and_another_seed_others(world, tiny
     assert first.photograph(camera, level) != first.photograph(camera, 1 - level)
 
 
+@pytest.mark.usefixtures("forked")
 def test_capture_keeps_the_photographs_that_the_lamps_lit(world, tmp_path, tiny_rig):
     """Every count is what the sensor gave under the acknowledged light.
 
@@ -195,6 +196,7 @@ def test_capture_keeps_the_photographs_that_the_lamps_lit(world, tmp_path, tiny_
     assert session.file.calibration.colour == "calibration/colour.json"
 
 
+@pytest.mark.usefixtures("forked")
 def test_a_failed_capture_is_an_error_and_leaves_no_session(world, tmp_path, capfd):
     with pytest.raises(SimError, match="exit code 2"):
         capture_session(world, tmp_path / "s", 5, "full,sideways")
@@ -202,6 +204,7 @@ def test_a_failed_capture_is_an_error_and_leaves_no_session(world, tmp_path, cap
     assert not (tmp_path / "s" / "session.json").exists()
 
 
+@pytest.mark.usefixtures("forked")
 def test_lamps_that_fail_end_the_capture_and_give_the_reason(world, tmp_path, monkeypatch):
     def broken(self: Photographer, levels: np.ndarray, folders: CameraFolders) -> None:
         if levels.any():

@@ -22,7 +22,7 @@ from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import Mesh, read_obj, vertex_normals, write_obj
 from lightstage.formats.processed import ProcessedFolder
 from tests.learning.conftest import RADIUS_MM, ball
-from tests.learning.export.called import run
+from tests.learning.export.called import printed, refusal
 
 
 def sheet(rows: int, columns: int, pitch_mm: float) -> tuple[np.ndarray, np.ndarray]:
@@ -203,23 +203,17 @@ def bumpy(people: list[ProcessedFolder], tmp_path: Path) -> ProcessedFolder:
     return folder
 
 
-def test_the_command_writes_heights_and_a_mesh(
-    bumpy: ProcessedFolder,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_command_writes_heights_and_a_mesh(bumpy: ProcessedFolder, tmp_path: Path) -> None:
     out = tmp_path / "D"
     words = ["detail", bumpy.root, "--out", out, "--subdivide", "1", "--json"]
-    assert run(monkeypatch, *words) == 0
-    facts = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    facts = json.loads(printed(*words).splitlines()[-1])
     height = read_exr(out / "displacement.exr")
     assert 0.01 < facts["height_rms_mm"] < 5
     assert height.std() == pytest.approx(facts["height_rms_mm"], rel=0.5)
     mesh = read_obj(out / "embossed.obj")
     assert len(mesh.faces) == facts["triangles"]
     assert np.linalg.norm(mesh.vertices, axis=1).mean() == pytest.approx(RADIUS_MM, rel=0.15)
-    assert run(monkeypatch, *words) == 0  # an earlier one is replaced
+    printed(*words)  # an earlier one is replaced
 
 
 @pytest.mark.parametrize(
@@ -231,30 +225,20 @@ def test_the_command_writes_heights_and_a_mesh(
     ],
 )
 def test_what_is_out_of_bounds_is_refused(
-    bumpy: ProcessedFolder,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    more: list[str],
-    word: str,
+    bumpy: ProcessedFolder, tmp_path: Path, more: list[str], word: str
 ) -> None:
-    assert run(monkeypatch, "detail", bumpy.root, "--out", tmp_path / "D", *more) == 2
-    assert word in capsys.readouterr().err
+    assert word in refusal("detail", bumpy.root, "--out", tmp_path / "D", *more)
     assert not (tmp_path / "D").exists()
 
 
 def test_maps_without_finer_normals_are_refused(
-    people: list[ProcessedFolder],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    people: list[ProcessedFolder], tmp_path: Path
 ) -> None:
     folder = shutil.copytree(people[0].root, tmp_path / "plain")
     mesh = read_obj(ProcessedFolder(folder).registered_mesh)
     normal = rasterise(mesh, 96, 64).normals(mesh)
     write_exr(folder / "atlas" / "specular_normal.exr", normal)
-    assert run(monkeypatch, "detail", folder, "--out", tmp_path / "D") == 2
-    assert "the mesh's own normals" in capsys.readouterr().err
+    assert "the mesh's own normals" in refusal("detail", folder, "--out", tmp_path / "D")
 
 
 def without_uv(folder: ProcessedFolder) -> None:
@@ -281,17 +265,11 @@ def without_normals(folder: ProcessedFolder) -> None:
     ],
 )
 def test_bad_maps_and_meshes_are_refused_and_nothing_is_written(
-    bumpy: ProcessedFolder,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    spoil: Callable[[ProcessedFolder], None],
-    word: str,
+    bumpy: ProcessedFolder, tmp_path: Path, spoil: Callable[[ProcessedFolder], None], word: str
 ) -> None:
     folder = ProcessedFolder(shutil.copytree(bumpy.root, tmp_path / "copy"))
     spoil(folder)
-    assert run(monkeypatch, "detail", folder.root, "--out", tmp_path / "D") == 2
-    err = capsys.readouterr().err
+    err = refusal("detail", folder.root, "--out", tmp_path / "D")
     assert word in err
     assert "Traceback" not in err
     assert not (tmp_path / "D").exists()

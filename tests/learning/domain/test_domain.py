@@ -32,7 +32,7 @@ from lightstage.formats.environment import LightSet, read_lights, write_lights
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import write_json
 from tests.learning.domain.conftest import CAMERA_MM, LIGHT, Domain
-from tests.learning.export.called import run
+from tests.learning.export.called import printed, refusal
 
 
 @pytest.fixture(scope="module")
@@ -143,17 +143,13 @@ def test_a_target_light_that_is_none_is_refused(values: dict[str, Any], said: st
 
 
 def test_domain_light_reads_fits_and_names_what_is_wrong(
-    domain: Domain,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    domain: Domain, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "light.json"
     wrong = Light(((500.0, 500.0, 900.0),), np.array([[0.5] * 3, [0.2] * 3]), 1.0)
     monkeypatch.setattr(command, "find_light", lambda *_: Found(wrong, []))
     line = ["domain-light", domain.folder, "--out", out, "--steps", "5"]
-    assert run(monkeypatch, *line, "--json") == 0
-    facts = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    facts = json.loads(printed(*line, "--json").splitlines()[-1])
     assert (facts["textures"], facts["lamps"]) == (2, 1)
     assert facts["difference_after"] < facts["difference_before"]
     assert len(read_lights(out).rgb) == 1
@@ -161,8 +157,7 @@ def test_domain_light_reads_fits_and_names_what_is_wrong(
     assert "2 textures" in facts["notes"][0]
     dark = Light((), np.array([[0.2] * 3]), 1.0)
     monkeypatch.setattr(command, "find_light", lambda *_: Found(dark, []))
-    assert run(monkeypatch, *line) == 2
-    assert "no lamp" in capsys.readouterr().err
+    assert "no lamp" in refusal(*line)
     empty, grey = tmp_path / "empty", tmp_path / "grey.exr"
     empty.mkdir()
     write_exr(grey, np.zeros((96, 64), np.float32))
@@ -178,8 +173,7 @@ def test_domain_light_reads_fits_and_names_what_is_wrong(
         ([domain.folder, "--config", told], "c.json"),
     ):
         other = tmp_path / "other.json"
-        assert run(monkeypatch, "domain-light", *words, "--out", other) == 2
-        assert said in capsys.readouterr().err, said
+        assert said in refusal("domain-light", *words, "--out", other), said
         assert not other.exists()
 
 

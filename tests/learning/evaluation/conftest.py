@@ -8,16 +8,13 @@ from pathlib import Path
 import pytest
 
 from tests.learning.evaluation.called import Ended
-from tests.learning.export.called import run
+from tests.programs import run_program
 
 
 @pytest.fixture
-def evaluate(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., Ended]:
+def evaluate() -> Callable[..., Ended]:
     def call(*words: str | Path) -> Ended:
-        code = run(monkeypatch, "evaluate", *words, "--json")
-        ended = capsys.readouterr()
-        return Ended(code, ended.out, ended.err)
+        ended = run_program("learning", "evaluate", *words, "--json")
+        return Ended(ended.code, ended.out, ended.err)
 
     return call

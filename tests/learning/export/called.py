@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
-from learning.__main__ import main
 from lightstage.formats.processed import ProcessedFolder
-from lightstage.interrupts import handlers_kept
+from tests.programs import run_program
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
-    """Exit code of a command; the handlers of signals are as before."""
-    monkeypatch.setattr(sys, "argv", ["lightstage-learning", *map(str, words)])
-    # A command that was interrupted leaves them ignored, as its process ends.
-    with handlers_kept(), pytest.raises(SystemExit) as stopped:
-        main()
-    return int(stopped.value.code or 0)
+def printed(*words: object) -> str:
+    """What a command prints that ends well."""
+    ended = run_program("learning", *words)
+    assert ended.code == 0, ended.err
+    return ended.out
+
+
+def refusal(*words: object) -> str:
+    """What a command reports that refuses its input."""
+    ended = run_program("learning", *words)
+    assert ended.code == 2, ended
+    return ended.err
 
 
 def copied(person: Path, folder: Path) -> ProcessedFolder:

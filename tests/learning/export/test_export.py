@@ -24,7 +24,7 @@ from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import read_mesh, read_obj, vertex_normals
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.srgb import linear_from_srgb
-from tests.learning.export.called import accessor, copied, run
+from tests.learning.export.called import accessor, copied, printed, refusal
 
 ROOT = Path(__file__).resolve().parents[3]
 NPM = ROOT / "build" / "npm"
@@ -203,13 +203,13 @@ def test_beside_the_surface_both_files_of_a_map_show_the_nearest_skin(
 
 
 def test_a_wider_float_map_is_written_within_half_a_step_of_half_floats(
-    person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    person: Path, tmp_path: Path
 ) -> None:
     folder = copied(person, tmp_path)
     wide = np.random.default_rng(2).uniform(0.1, 1, folder.read_atlas("diffuse_albedo").shape)
     write_exr(folder.atlas_path("diffuse_albedo"), wide.astype(np.float32), half=False)
     words = ("--format", "maps", "--out", tmp_path / "out")
-    assert run(monkeypatch, "export", folder.root, *words) == 0
+    printed("export", folder.root, *words)
     skin = read_source(folder.root).covered
     found = read_exr(tmp_path / "out" / "maps" / "diffuse_albedo.exr")
     np.testing.assert_allclose(found[skin], wide[skin], rtol=2**-11 + 1e-6)
@@ -284,14 +284,14 @@ def test_the_official_validator_finds_no_error_and_no_warning(exported: Path) ->
 
 
 def test_maps_without_a_processed_folder_take_the_mesh_that_is_named_and_a_constant_roughness(
-    person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    person: Path, tmp_path: Path
 ) -> None:
     maps = tmp_path / "maps"
     maps.mkdir()
     for name in ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal"):
         shutil.copy(ProcessedFolder(person).atlas_path(name), maps)
     words = ("--mesh", ProcessedFolder(person).registered_mesh, "--format", "gltf")
-    assert run(monkeypatch, "export", maps, "--out", tmp_path / "out", *words) == 0
+    printed("export", maps, "--out", tmp_path / "out", *words)
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["README.txt", "head.glb"]
     data = (tmp_path / "out" / "head.glb").read_bytes()
     material = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])["materials"][0]
@@ -331,12 +331,12 @@ def value_of(entry: Any, shown: float) -> float:
 
 
 def test_usd_names_the_inputs_of_both_materials_and_their_pictures(
-    person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    person: Path, tmp_path: Path
 ) -> None:
     pytest.importorskip("pxr", reason="usd-core is not installed: pip install -e '.[usd]'")
     from pxr import Usd, UsdGeom, UsdShade
 
-    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", "--format", "usd") == 0
+    printed("export", person, "--out", tmp_path / "out", "--format", "usd")
     stage = Usd.Stage.Open(str(tmp_path / "out" / "head.usda"))
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.001
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/head/mesh"))
@@ -362,10 +362,10 @@ def test_usd_names_the_inputs_of_both_materials_and_their_pictures(
 
 
 def test_a_page_holds_mesh_pictures_and_library_and_asks_no_server_for_anything(
-    person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    person: Path, tmp_path: Path
 ) -> None:
     words = ("--format", "page", "--compare", person)
-    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", *words) == 0
+    printed("export", person, "--out", tmp_path / "out", *words)
     text = (tmp_path / "out" / "page.html").read_text()
     assert "MIT License" in text
     assert "three.js 0.187.0" in text
@@ -392,25 +392,17 @@ def test_a_page_holds_mesh_pictures_and_library_and_asks_no_server_for_anything(
     assert text.count("</script>") == 4
 
 
-def test_a_comparison_without_a_page_is_refused(
-    person: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_comparison_without_a_page_is_refused(person: Path, tmp_path: Path) -> None:
     words = ("--format", "gltf", "--compare", person)
-    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", *words) == 2
-    assert "--compare" in capsys.readouterr().err
+    assert "--compare" in refusal("export", person, "--out", tmp_path / "out", *words)
     assert not (tmp_path / "out").exists()
 
 
 def test_a_page_that_would_be_too_large_is_refused_and_its_folder_is_not_left(
-    person: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("learning.export.page.MOST_BYTES", 1_000_000)
-    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", "--format", "page") == 2
-    assert "expected at most 1 MB" in capsys.readouterr().err
+    assert "expected at most 1 MB" in refusal(
+        "export", person, "--out", tmp_path / "out", "--format", "page"
+    )
     assert not list(tmp_path.iterdir())

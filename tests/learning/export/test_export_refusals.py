@@ -12,7 +12,7 @@ import pytest
 from lightstage.formats.exr import write_exr
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
 from lightstage.formats.processed import ProcessedFolder
-from tests.learning.export.called import copied, run
+from tests.learning.export.called import copied, refusal
 
 
 def without_a_map(folder: ProcessedFolder) -> None:
@@ -91,28 +91,19 @@ def without_mesh(folder: ProcessedFolder) -> None:
     ],
 )
 def test_bad_input_is_one_message_that_names_it_and_nothing_is_written(
-    spoil: Any,
-    message: str,
-    person: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    spoil: Any, message: str, person: Path, tmp_path: Path
 ) -> None:
     folder = copied(person, tmp_path)
     spoil(folder)
     before = sorted(tmp_path.iterdir())
-    assert run(monkeypatch, "export", folder.root, "--out", tmp_path / "out") == 2
-    err = capsys.readouterr().err
+    err = refusal("export", folder.root, "--out", tmp_path / "out")
     assert message in err
     assert "Traceback" not in err
     assert sorted(tmp_path.iterdir()) == before
 
 
 def test_a_comparison_with_maps_of_another_size_or_mesh_is_refused(
-    person: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    person: Path, tmp_path: Path
 ) -> None:
     folder = copied(person, tmp_path)
     words = ("--format", "page", "--compare", folder.root, "--out", tmp_path / "out")
@@ -120,34 +111,24 @@ def test_a_comparison_with_maps_of_another_size_or_mesh_is_refused(
     mesh = read_obj(folder.registered_mesh)
     folder.write_atlas("position", folder.read_atlas("position") + np.float32(30))
     write_obj(mesh, folder.registered_mesh)
-    assert run(monkeypatch, "export", person, *words) == 2
-    assert "position.exr" in capsys.readouterr().err
+    assert "position.exr" in refusal("export", person, *words)
     assert not (tmp_path / "out").exists()
 
 
-def test_an_out_that_is_a_file_is_refused_and_stays(
-    person: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_out_that_is_a_file_is_refused_and_stays(person: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.write_text("mine")
-    assert run(monkeypatch, "export", person, "--out", out) == 2
-    assert str(out) in capsys.readouterr().err
+    assert str(out) in refusal("export", person, "--out", out)
     assert out.read_text() == "mine"
 
 
 def test_a_place_that_is_taken_and_a_format_that_is_unknown_are_refused(
-    person: Path,
-    exported: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    person: Path, exported: Path
 ) -> None:
     before = (exported / "head.glb").read_bytes()
-    assert run(monkeypatch, "export", person, "--out", exported) == 2
-    assert "expected a new folder" in capsys.readouterr().err
+    assert "expected a new folder" in refusal("export", person, "--out", exported)
     assert (exported / "head.glb").read_bytes() == before
-    assert run(monkeypatch, "export", person, "--out", exported / "new", "--format", "fbx") == 2
-    assert "some of gltf, obj, maps, usd, page" in capsys.readouterr().err
+    assert "some of gltf, obj, maps, usd, page" in refusal(
+        "export", person, "--out", exported / "new", "--format", "fbx"
+    )
     assert not (exported / "new").exists()

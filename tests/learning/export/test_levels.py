@@ -14,14 +14,13 @@ from learning.export.levels import coarser, on_level
 from learning.export.source import read_source
 from lightstage.formats.mesh import read_obj
 from processing.atlas.tangents import from_tangent_space
-from tests.learning.export.called import run
+from tests.learning.export.called import printed, refusal
 
 
 @pytest.fixture(scope="module")
 def levels(person: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("levels") / "out"
-    with pytest.MonkeyPatch.context() as patch:
-        assert run(patch, "export", person, "--out", out, "--format", "gltf,obj", "--lods", 2) == 0
+    printed("export", person, "--out", out, "--format", "gltf,obj", "--lods", 2)
     return out
 
 
@@ -87,24 +86,16 @@ def test_morph_targets_move_a_levels_vertices_as_those_of_the_head(person: Path)
     ],
 )
 def test_levels_that_cannot_be_made_are_refused(
-    person: Path,
-    tmp_path: Path,
-    words: list[object],
-    message: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    person: Path, tmp_path: Path, words: list[object], message: str
 ) -> None:
-    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", *words) == 2
-    assert message in capsys.readouterr().err
+    assert message in refusal("export", person, "--out", tmp_path / "out", *words)
     assert not (tmp_path / "out").exists()
 
 
 def test_without_pymeshlab_levels_are_refused_and_the_extra_is_named(
-    person: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("learning.export.levels.reason_without", lambda: "it is not installed")
-    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", "--lods", 1) == 2
-    assert "--lods: found it is not installed" in capsys.readouterr().err
+    assert "--lods: found it is not installed" in refusal(
+        "export", person, "--out", tmp_path / "out", "--lods", 1
+    )

@@ -20,7 +20,7 @@ from lightstage.formats.template import (
     load_template,
     save_template,
 )
-from tests.learning.export.called import accessor, copied, run
+from tests.learning.export.called import accessor, copied, printed, refusal
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -65,10 +65,7 @@ def test_icts_model_has_all_of_arkits_expressions_but_the_tongue(head_data: Path
 
 
 def test_a_templates_expressions_are_morph_targets_in_metres_and_in_the_meshs_axes(
-    person: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    person: Path, tmp_path: Path
 ) -> None:
     folder = copied(person, tmp_path)
     mesh = read_obj(folder.registered_mesh)
@@ -83,8 +80,9 @@ def test_a_templates_expressions_are_morph_targets_in_metres_and_in_the_meshs_ax
     pose = [[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 5]]
     write_json(folder.head_pose, {"head_from_world": pose})
     words = ("--format", "gltf", "--template", tmp_path / "template", "--json")
-    assert run(monkeypatch, "export", folder.root, "--out", tmp_path / "out", *words) == 0
-    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    facts = json.loads(
+        printed("export", folder.root, "--out", tmp_path / "out", *words).splitlines()[-1]
+    )
     assert facts["morph_targets"] == ["jawOpen", "eyeBlinkLeft"]
     assert "surprise" in " ".join(facts["notes"])
     data = (tmp_path / "out" / "head.glb").read_bytes()
@@ -120,25 +118,17 @@ def test_without_a_pose_the_vertices_tell_a_meshs_axes() -> None:
 
 
 def test_expressions_are_taken_for_gltf_alone_and_a_note_says_so(
-    person: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    person: Path, tmp_path: Path
 ) -> None:
     words = ("--format", "maps", "--template", ROOT / "lightstage" / "data" / "template", "--json")
-    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", *words) == 0
-    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    facts = json.loads(
+        printed("export", person, "--out", tmp_path / "out", *words).splitlines()[-1]
+    )
     assert facts["morph_targets"] == []
     assert any("glTF alone" in note for note in facts["notes"])
 
 
-def test_another_templates_expressions_are_refused(
-    person: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_another_templates_expressions_are_refused(person: Path, tmp_path: Path) -> None:
     words = ("--out", tmp_path / "out", "--template", ROOT / "lightstage" / "data" / "template")
-    assert run(monkeypatch, "export", person, *words) == 2
-    assert "Give the template that the head was registered to" in capsys.readouterr().err
+    assert "Give the template that the head was registered to" in refusal("export", person, *words)
     assert not (tmp_path / "out").exists()

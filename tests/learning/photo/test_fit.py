@@ -26,7 +26,7 @@ from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.mesh import read_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import Template, default_template_path, save_template
-from tests.learning.export.called import run
+from tests.learning.export.called import printed, refusal
 from tests.learning.photo.scene import FOCAL_PX, HEIGHT_PX, KEY, Shot
 from tests.programs import run_program
 
@@ -142,7 +142,6 @@ def test_relief_becomes_heights_and_a_mesh_and_small_textures_have_none(
     marks: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert "no detail" in " ".join(fitted[1]["notes"])
     out = shutil.copytree(fitted[0], tmp_path / "A")
@@ -157,8 +156,7 @@ def test_relief_becomes_heights_and_a_mesh_and_small_textures_have_none(
     assert record["stages"].pop("detail")
     write_json(out / "avatar.json", record)
     line = [*words(shot, marks, out), "--until", "detail", "--json"]
-    assert run(monkeypatch, *line) == 0
-    facts = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    facts = json.loads(printed(*line).splitlines()[-1])
     assert facts["skipped"] == ["fit"]
     assert "detail" in facts["parts"]
     assert "no detail" not in " ".join(facts["notes"])
@@ -171,8 +169,7 @@ def test_relief_becomes_heights_and_a_mesh_and_small_textures_have_none(
     page = (out / "avatar.html").read_text()
     assert 'href="detail/embossed.obj"' in page
     assert 'href="fit/fit.html"' in page
-    assert run(monkeypatch, *line) == 0
-    facts = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    facts = json.loads(printed(*line).splitlines()[-1])
     assert facts["skipped"] == ["fit", "detail"]
 
 
@@ -250,10 +247,7 @@ def test_bad_input_is_refused_in_words_that_name_it(shot: Shot, tmp_path: Path) 
 
 
 def test_a_captured_heads_maps_are_an_avatar_without_a_fit(
-    people: list[ProcessedFolder],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    people: list[ProcessedFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     root = shutil.copytree(people[0].root, tmp_path / "captured")
     captured = ProcessedFolder(root)
@@ -269,8 +263,7 @@ def test_a_captured_heads_maps_are_an_avatar_without_a_fit(
     line = ["avatar", "--maps", root, "--template", template, "--out", out, "--format", "gltf"]
 
     def facts(*more: str | Path) -> dict[str, Any]:
-        assert run(monkeypatch, *line, *more, "--json") == 0
-        found: dict[str, Any] = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+        found: dict[str, Any] = json.loads(printed(*line, *more, "--json").splitlines()[-1])
         return found
 
     first = facts()
@@ -294,8 +287,7 @@ def test_a_captured_heads_maps_are_an_avatar_without_a_fit(
         ([*line, "--rows", "768", "--face", "2"], "--face, --rows: found given with --maps"),
         ([*line, "--landmarks", tmp_path / "none.json"], "--landmarks: found given with --maps"),
     ):
-        assert run(monkeypatch, *words) == 2
-        assert message in capsys.readouterr().err
+        assert message in refusal(*words)
 
 
 def test_an_avatar_refuses_before_it_writes_anything(shot: Shot, tmp_path: Path) -> None:

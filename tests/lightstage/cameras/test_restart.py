@@ -11,6 +11,7 @@ import pytest
 
 from lightstage.cameras.process import CameraProcess, Deadlines
 from lightstage.errors import DeviceError
+from tests.waiting import until
 
 A, B, C = "usb:001,004", "usb:001,005", "usb:001,009"
 
@@ -65,10 +66,7 @@ def test_a_stranger_at_its_port_is_let_go_again_and_reported(two, fake):
 
     thread = threading.Thread(target=restart)
     thread.start()
-    until = time.monotonic() + 20
-    while fake.body_of("7777")["calls"].count("exit") < 2:
-        assert time.monotonic() < until
-        time.sleep(0.02)
+    until(lambda: fake.body_of("7777")["calls"].count("exit") >= 2)
     two[0].close()  # it would look on until its deadline
     thread.join(20)
     assert "camera cam1, restart: found usb:001,004: found serial 7777" in lines[0]

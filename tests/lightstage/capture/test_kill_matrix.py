@@ -77,7 +77,6 @@ def test_a_killed_capture_goes_on_with_nothing_lost_doubled_or_mislabelled(tmp_p
     [
         (Kill("downloaded", "capture", "x+"), Kill("named", "capture", "x+")),
         (Kill("folder-flushed", "capture", "x+"), Kill("line-half-written", "all", event="resume")),
-        (Kill("triggered", "all", "full"), Kill("session-written", "capture")),
     ],
     ids=in_words,
 )

@@ -28,6 +28,8 @@ needs_chromium = pytest.mark.skipif(
     chromium() is None, reason="no Chromium: install Debian's package chromium"
 )
 
+pytestmark = pytest.mark.usefixtures("forked")
+
 
 def errors_of(browser: Browser) -> list[str]:
     """What the page reports, without what htmx logs of requests that its next page cut short."""

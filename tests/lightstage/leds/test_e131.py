@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import time
 
 import numpy as np
 import pytest
@@ -13,16 +12,9 @@ from hypothesis import strategies as st
 from lightstage.leds import e131
 from lightstage.leds.opening import open_leds
 from sim.devices.sacn_device import SacnDevice, read_packet
+from tests.waiting import until
 
 CID = bytes(range(16))
-
-
-def until(holds):
-    for _ in range(20_000):
-        if holds():
-            return
-        time.sleep(0.001)
-    raise AssertionError("never")
 
 
 def test_a_packet_has_the_bytes_of_the_standards_table():

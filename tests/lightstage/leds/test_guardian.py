@@ -21,6 +21,7 @@ from sim.devices.adalight_device import AdalightDevice
 from sim.devices.icl_server import IclServer
 from sim.devices.led_device import WATCHDOG_S, LedDevice
 from sim.devices.sacn_device import SOURCE_LOSS_S, SacnDevice
+from tests.waiting import until
 
 WATCHFUL = ("pty", "socket", "adalight", "sacn")
 KINDS = (*WATCHFUL, "icl")
@@ -69,14 +70,6 @@ def far_end(kind):
     if kind == "icl":
         return IclServer(unwatched, at_once=True)
     return LedDevice(8, unwatched, over=kind)
-
-
-def until(holds, seconds=20.0):
-    for _ in range(int(seconds * 1000)):
-        if holds():
-            return
-        time.sleep(0.001)
-    raise AssertionError("never")
 
 
 def gone(pid):

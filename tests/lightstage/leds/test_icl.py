@@ -19,6 +19,7 @@ from lightstage.leds.opening import open_leds
 from lightstage.safety import SafeLights, SafetyConfig
 from sim.devices.faults import Fault, Story
 from sim.devices.icl_server import IclServer
+from tests.waiting import until
 
 QUICK = "settle_s=0&timeout_s=0.3"
 CONFIG = {"Config": {"num_arcs": 12, "lights_per_arc": 14}}
@@ -26,14 +27,6 @@ CONFIG = {"Config": {"num_arcs": 12, "lights_per_arc": 14}}
 
 def far_end(*faults):
     return IclServer(lambda _: None, story=Story(faults), at_once=True)
-
-
-def until(holds, seconds=20.0):
-    for _ in range(int(seconds * 1000)):
-        if holds():
-            return
-        time.sleep(0.001)
-    raise AssertionError("never")
 
 
 def white(server):

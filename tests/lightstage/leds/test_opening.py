@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from lightstage.leds.opening import open_leds
 from sim.devices.adalight_device import AdalightDevice
 from sim.devices.led_device import LedDevice
 from sim.devices.sacn_device import SacnDevice
+from tests.waiting import until
 
 KINDS = ("pty", "socket", "adalight", "sacn")
 
@@ -37,15 +37,6 @@ def url(device, **more):
     if isinstance(device, LedDevice):
         return f"{device.url(20.0, 2)}&{options}".rstrip("&")
     return device.url(options)
-
-
-def until(holds):
-    """Wait for what happens in another thread."""
-    for _ in range(20_000):
-        if holds():
-            return
-        time.sleep(0.001)
-    raise AssertionError("never")
 
 
 def shines(device, driven):

@@ -17,7 +17,8 @@ from lightstage.leds.opening import open_leds, open_rig_leds
 from lightstage.rig import LightAddress, Rig
 from sim.devices.faults import Fault, Story
 from tests.lightstage.conftest import make_rig
-from tests.lightstage.leds.test_opening import KINDS, far_end, shines, until, url
+from tests.lightstage.leds.test_opening import KINDS, far_end, shines, url
+from tests.waiting import until
 
 CHANNELS = (5, 0, 9, 2, 7, 1, 3, 4)
 """Of eight lights; channels 6 and 8 have none."""

@@ -7,7 +7,6 @@ import random
 import socket
 import stat
 import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -16,6 +15,7 @@ from hypothesis import strategies as st
 
 from lightstage.errors import FormatError
 from lightstage.operator import EventConfig, EventServer, serve_events
+from tests.waiting import until
 
 WAIT_S = 30.0
 
@@ -160,10 +160,7 @@ def test_clients_that_die_in_the_middle_disturb_nobody(writing):
         writing.note()
         assert steady.line()["id"] == 31
         # A line may be given before the server has seen that a client is gone.
-        deadline_s = time.monotonic() + WAIT_S
-        while len(server._clients) > 1 and time.monotonic() < deadline_s:
-            time.sleep(0.01)
-        assert len(server._clients) == 1
+        until(lambda: len(server._clients) == 1, WAIT_S)
 
 
 def test_a_line_that_is_not_whole_or_not_on_the_disk_is_not_given(writing):

@@ -14,6 +14,9 @@ import pytest
 
 from lightstage.errors import CaptureError, FormatError
 from lightstage.operator.client import ask, follow
+from tests.programs import run_program
+
+pytestmark = pytest.mark.usefixtures("forked")
 
 CAPTURING = """
 import json, sys, time
@@ -92,24 +95,9 @@ def capturing(tmp_path, runtime):
         each.process.stdin.close()
 
 
-WATCH = """
-from lightstage.commands import make_app, run_app
-from lightstage.operator.command import register
-
-app = make_app("The command alone: it starts sooner than all of them.")
-app.callback()(lambda: None)
-register(app)
-run_app(app)
-"""
-
-
-def watch(*arguments, program=("-c", WATCH)):
-    return subprocess.run(
-        [sys.executable, *program, "watch", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+def watch(*arguments):
+    ended = run_program("lightstage", "watch", *arguments)
+    return subprocess.CompletedProcess(arguments, ended.code, ended.out, ended.err)
 
 
 def bare(lines):
@@ -118,7 +106,7 @@ def bare(lines):
 
 def test_a_finished_capture_is_distinguished_from_its_journal(tmp_path, replay, written):
     written(tmp_path / "journal.jsonl", replay)
-    done = watch(tmp_path, program=("-m", "lightstage"))
+    done = watch(tmp_path)
     assert done.returncode == 0
     assert "63 of 63 photographs kept, 7 of 7 patterns done, complete" in done.stdout
     assert "cam4: no answer for 30 s" in done.stderr
@@ -211,7 +199,7 @@ def test_nobody_there_is_reported(tmp_path, replay, written):
 
 def test_a_session_that_is_not_there_yet_is_waited_for(tmp_path, replay, written):
     child = subprocess.Popen(
-        [sys.executable, "-c", WATCH, "watch", str(tmp_path / "S")],
+        [sys.executable, "-m", "lightstage", "watch", str(tmp_path / "S")],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -226,7 +214,7 @@ def test_a_session_that_is_not_there_yet_is_waited_for(tmp_path, replay, written
 
 def test_waiting_ends_by_ctrl_c_and_by_its_option(tmp_path):
     child = subprocess.Popen(
-        [sys.executable, "-c", WATCH, "watch", str(tmp_path / "S")],
+        [sys.executable, "-m", "lightstage", "watch", str(tmp_path / "S")],
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -310,7 +298,7 @@ def test_a_watcher_at_a_terminal_sees_the_picture_and_leaves_by_q(
 ):
     running = capturing()
     running.write(*bare(replay[:60]))
-    terminal = terminals("-c", WATCH, "watch", str(tmp_path))
+    terminal = terminals("-m", "lightstage", "watch", str(tmp_path))
     terminal.wait_for("TAKING")
     seen = terminal.wait_for("leave (the capture continues)")
     running.write({"event": "finding", "severity": "warn", "where": "cam1", "found": "it is dim"})

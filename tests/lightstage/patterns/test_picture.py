@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from lightstage.formats.png import write_png
 from lightstage.patterns import drive_levels, pattern_levels, sequence_patterns
-from lightstage.patterns.picture import SheetConfig, pattern_sheet, write_sheet
+from lightstage.patterns.picture import SheetConfig, pattern_sheet
 from lightstage.patterns.weights import directions
 from lightstage.rig import default_rig
 from tests.lightstage.patterns.rigs import rig_at
@@ -116,7 +117,7 @@ def test_darkness_is_drawn_dark():
 def test_a_sheet_comes_back_from_its_file(tmp_path):
     rig = default_rig()
     sheet = pattern_sheet(rig, [("full", drive_levels("full", rig))], "t")
-    path = write_sheet(tmp_path / "s.png", sheet)
+    path = write_png(tmp_path / "s.png", sheet)
     assert np.array_equal(cv2.imread(str(path))[:, :, ::-1], sheet)
     assert [p.name for p in tmp_path.iterdir()] == ["s.png"]
 

@@ -171,7 +171,7 @@ def test_what_cannot_be_solved_is_refused(
 
 def test_photographs_of_a_wall_are_refused(tmp_path: Path) -> None:
     shots = {}
-    for camera in ball.cameras((0, 1, 2, 5)):
+    for camera in ball.cameras((0, 1, 2)):
         shots[camera.id] = put_other(tmp_path / f"{camera.id}.exr", ball.wall(camera))
     with pytest.raises(MotionError, match="photographs of something flat, such as a wall"):
         find_cameras(shots, LIGHTS, [base()])

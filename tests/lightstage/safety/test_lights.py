@@ -19,6 +19,7 @@ from lightstage.safety import lights as safe_lights
 from sim.devices.faults import Fault, Story
 from sim.devices.led_device import LedDevice
 from sim.devices.sacn_device import SacnDevice
+from tests.waiting import until
 
 QUICK = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=30.0)
 FULL = np.ones(8)
@@ -62,14 +63,6 @@ class Lamps:
 
     def close(self):
         self._ask("close")
-
-
-def until(holds):
-    for _ in range(20_000):
-        if holds():
-            return
-        time.sleep(0.001)
-    raise AssertionError("never")
 
 
 def test_outside_of_its_with_no_light_goes_on(small_rig):

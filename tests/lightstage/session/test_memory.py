@@ -14,7 +14,7 @@ from lightstage.cameras.camera import CardFile
 from lightstage.operator import EventServer
 from lightstage.operator.terminal import TerminalOperator
 from lightstage.rig import Rig
-from lightstage.session import SessionPlan, SessionWriter, read_journal, state_of
+from lightstage.session import SessionPlan, SessionState, SessionWriter, read_journal
 
 CAMERAS = tuple(f"cam{index}" for index in range(9))
 LIGHTS, WARM, SHOTS = 168, 10, 100
@@ -82,7 +82,7 @@ def test_a_capture_that_goes_on_holds_no_lines_of_before(nine):
     tracemalloc.start()
     try:
         before = held_bytes()
-        state = state_of(read_journal(nine.journal.path))
+        state = SessionState(read_journal(nine.journal.path))
         held = held_bytes() - before
     finally:
         tracemalloc.stop()

@@ -12,12 +12,12 @@ from lightstage.cameras.camera import CardFile
 from lightstage.errors import DeviceError
 from lightstage.operator.words import notice_of
 from lightstage.session import (
+    SessionState,
     SessionWriter,
     arrived,
     bring_home,
     read_journal,
     reconcile,
-    state_of,
 )
 from sim.camera.dng import Exif, dng_bytes
 from sim.camera.sensor import Sensor, SensorConfig
@@ -370,7 +370,7 @@ def test_the_state_of_a_journal_is_that_of_the_writer(desk, begun):
     writer, cameras = begun
     reconcile(writer, cameras)
     writer.rejected("full", "cam1", "blurred")
-    state = state_of(read_journal(writer.journal.path))
+    state = SessionState(read_journal(writer.journal.path))
     assert (
         state.wanted()
         == writer.state.wanted()

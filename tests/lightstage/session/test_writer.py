@@ -8,8 +8,6 @@ import shutil
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from lightstage.cameras.camera import CardFile
 from lightstage.errors import CaptureError, ConfigError, FormatError
@@ -19,7 +17,6 @@ from lightstage.rig import save_rig
 from lightstage.session import (
     SessionPlan,
     SessionWriter,
-    check_pseudonym,
     read_colour,
     read_journal,
     session_from_journal,
@@ -250,29 +247,6 @@ def test_a_name_that_cannot_name_a_file_is_refused_before_anything_is_written(
 def test_names_that_differ_in_capitals_only_are_refused(tmp_path, small_rig):
     with pytest.raises(ConfigError, match="differ in more than capitals"):
         SessionWriter.new(tmp_path / "S", small_rig, SessionPlan(("full", "Full")))
-
-
-@pytest.mark.parametrize("text", ["subject-1", "P07", "lps", "person_3.b", "Ω7", "é7", "e\u03017"])
-def test_pseudonyms_are_taken(text):
-    assert check_pseudonym(text, "subject") in (text, "é7")
-
-
-@pytest.mark.parametrize(
-    "text", ["", "a/b", "a\\b", "../x", "me@home.org", "a\nb", " a", "..", "x" * 65, "a\u202eb"]
-)
-def test_what_may_name_a_person_or_a_path_is_refused(text):
-    with pytest.raises(ConfigError, match="--subject"):
-        check_pseudonym(text, "subject")
-
-
-@given(st.text(max_size=80))
-def test_no_accepted_pseudonym_holds_a_separator_an_at_or_a_control(text):
-    try:
-        accepted = check_pseudonym(text, "subject")
-    except ConfigError:
-        return
-    assert not set(accepted) & set("/\\@:;\0\n\r\t\x7f")
-    assert accepted.isprintable()
 
 
 def colour(matrix):

@@ -24,18 +24,14 @@ def running(bench, tools):
     assert {bench.out / line["path"] for line in lines} <= set(bench.photographs())
 
 
-def test_a_second_capture_on_one_led_device_is_refused_and_the_first_goes_on(bench, tools, running):
+def test_a_second_capture_on_one_device_or_one_session_is_refused_and_the_first_goes_on(
+    bench, tools, running, tmp_path
+):
     second = bench.run(out=bench.desk / "second")
     message = tools.message(second, "DeviceError")
     assert f"LED device at {bench.stage.device.path}: found another program" in message
     assert "expected" in message
     assert not (bench.desk / "second").exists()
-    assert running.poll() is None
-
-
-def test_a_session_that_is_being_written_cannot_be_gone_on_with_elsewhere(
-    bench, tools, running, tmp_path
-):
     # Another stage's devices, all free, on the same folder.
     (tmp_path / "other").mkdir()
     with tools.bench_of(tmp_path / "other", tools.small_rig()) as other:

@@ -27,6 +27,9 @@ from sim.devices.faults import Fault, Story
 from sim.devices.led_device import LedDevice
 from sim.devices.wiring import Wires, shuffled_wires
 from tests.lightstage.conftest import make_rig
+from tests.waiting import until
+
+pytestmark = pytest.mark.usefixtures("forked")
 
 QUICK = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=30.0)
 
@@ -204,10 +207,7 @@ def test_a_stop_puts_the_lamp_out_and_keeps_what_was_corrected(tmp_path, number)
         )
         child.stdin.write("c 1\n")
         child.stdin.flush()
-        until = time.monotonic() + 20
-        while lamps.shining != [0] and time.monotonic() < until:
-            time.sleep(0.01)
-        assert lamps.shining == [0]
+        until(lambda: lamps.shining == [0])
         child.send_signal(number)
         assert child.wait(20) == 130
         assert "Traceback" not in child.stderr.read()
@@ -293,10 +293,7 @@ def test_the_command_lights_the_next_lamp_on_one_key_without_enter(tmp_path):
         os.close(terminal)
         for key, lit in (("", [0]), ("n", [1]), ("n", [2]), ("b", [1]), ("d", []), ("q", [])):
             os.write(master, key.encode())
-            until = time.monotonic() + 60
-            while lamps.shining != lit and time.monotonic() < until:
-                time.sleep(0.01)
-            assert lamps.shining == lit, key
+            until(lambda lit=lit: lamps.shining == lit, 60)
         assert child.wait(30) == 0, child.stderr.read()
         assert device.dark
     os.close(master)

@@ -7,7 +7,6 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from sim.devices.faults import Fault, Story
 from sim.devices.icl_server import IclServer
 from sim.devices.icl_stage import ARCS, LIGHTS
 from sim.devices.kill_trial import CONFIG, small_rig
+from tests.waiting import until
 
 pytestmark = pytest.mark.usefixtures("forked")
 
@@ -139,10 +139,7 @@ def test_after_ctrl_c_the_stage_is_manual_and_black(tmp_path):
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         )  # fmt: skip
-        until = time.monotonic() + 60
-        while not lit(stage.device):
-            assert time.monotonic() < until, child.stderr.read()
-            time.sleep(0.002)
+        until(lambda: lit(stage.device), 60)
         child.send_signal(signal.SIGINT)
         printed = child.communicate(timeout=60)[1]
         assert child.returncode == 130, printed

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 import venv
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 
 from sim.devices.icl_server import IclServer
+from tests.waiting import until
 
 PACKAGE = "pylightstage==0.2.0"
 INSTALL_S = 90
@@ -109,13 +109,6 @@ def client(python):
         client.child.stdin.close()
         client.child.wait()
     assert server.failure is None
-
-
-def until(holds, seconds=30.0):
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 RGB, WHITE = slice(0, 3), slice(3, 6)

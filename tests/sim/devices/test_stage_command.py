@@ -53,10 +53,8 @@ def test_a_simulated_target_becomes_calibration_shots_that_hold(tmp_path, tiny_r
     rig = save_rig(tiny_rig, tmp_path / "rig.json")
     options = ["dark", "--out", str(tmp_path / "LAB"), "--rig", str(rig), "--scale", "1"]
     options += ["--rewired", "3"]
-    done = subprocess.run(
-        [sys.executable, "-m", "sim", "calibrate", *options], capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+    done = run_program("sim", "calibrate", *options)
+    assert done.code == 0, done.err
     listed = run_program("lightstage", "calibrations", tmp_path / "LAB")
     assert "1 of 6 kinds hold" in listed.out
 
@@ -73,11 +71,9 @@ def test_lines_that_go_on_with_devices_that_are_gone_are_not_passed_on():
 def test_a_target_too_small_in_the_pictures_is_one_error_and_what_to_do(tmp_path, tiny_rig):
     rig = save_rig(tiny_rig, tmp_path / "rig.json")
     options = ["chart", "--out", str(tmp_path / "LAB"), "--rig", str(rig), "--scale", "1"]
-    done = subprocess.run(
-        [sys.executable, "-m", "sim", "calibrate", *options], capture_output=True, text=True
-    )
-    assert done.returncode == 2
-    assert done.stderr.count("Error: ") == 1
-    assert "To resume" not in done.stderr
-    assert "at a larger --scale if the target is too small" in done.stderr
-    assert "pose 1 was not usable in 6 takes" in done.stderr
+    done = run_program("sim", "calibrate", *options)
+    assert done.code == 2
+    assert done.err.count("Error: ") == 1
+    assert "To resume" not in done.err
+    assert "at a larger --scale if the target is too small" in done.err
+    assert "pose 1 was not usable in 6 takes" in done.err

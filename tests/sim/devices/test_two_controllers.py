@@ -7,7 +7,6 @@ import dataclasses
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from sim.devices.coded_stage import CodedStage, Labels
 from sim.devices.faults import Fault, Story
 from sim.devices.kill_trial import CONFIG, small_rig
 from sim.devices.led_device import LedDevice
+from tests.waiting import until
 
 pytestmark = pytest.mark.usefixtures("forked")
 
@@ -141,16 +141,11 @@ def test_where_one_controller_falls_silent_the_other_is_dark_at_the_end(tmp_path
 def test_a_killed_capture_leaves_both_controllers_dark(tmp_path) -> None:
     with two_stage(tmp_path) as stage:
         child = subprocess.Popen(arguments(stage, tmp_path / "S", tmp_path))
-        until = time.monotonic() + 60
         ends = stage.device.devices.values()
-        while not all(end.states[-1].counts.any() for end in ends) and time.monotonic() < until:
-            time.sleep(0.002)
+        until(lambda: all(end.states[-1].counts.any() for end in ends), 60)
         child.kill()
         child.wait()
-        until = time.monotonic() + 30
-        while not stage.device.dark and time.monotonic() < until:
-            time.sleep(0.01)
-        assert stage.device.dark
+        until(lambda: stage.device.dark, 30)
 
 
 @pytest.mark.parametrize(

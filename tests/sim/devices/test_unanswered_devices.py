@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
@@ -13,17 +11,10 @@ from sim.devices.adalight_device import AdalightDevice
 from sim.devices.faults import Fault, Story
 from sim.devices.sacn_device import SacnDevice
 from sim.errors import SimError
+from tests.waiting import until
 
 DEVICES = (AdalightDevice, SacnDevice)
 ONCE = "attempts=1&settle_s=0"
-
-
-def until(holds):
-    for _ in range(20_000):
-        if holds():
-            return
-        time.sleep(0.001)
-    raise AssertionError("never")
 
 
 def shown(device):

@@ -16,7 +16,7 @@ from sim.head.modes import (
     identity_fields,
     identity_modes,
 )
-from sim.head.parametric import parametric_head, random_head
+from sim.head.parametric import random_head
 from sim.head.shape import base_distance, cast, ellipsoid
 from sim.people.traits import SEXES, Traits
 
@@ -222,10 +222,10 @@ def test_identity_modes_flip_no_triangle_at_two_deviations(mode):
 @settings(max_examples=20, deadline=None)
 @given(st.lists(st.floats(-3, 3), min_size=0, max_size=IDENTITY_MODES))
 def test_heads_of_the_model_are_finite_and_of_human_size(identity):
-    head = parametric_head(np.array(identity))
-    assert np.isfinite(head.vertices).all()
-    assert 180 < np.ptp(head.vertices[grid_vertices()[:104], 1]) < 280
-    assert 0.5 * np.linalg.norm(face_normals(head.vertices), axis=1).min() > 0.005
+    modes = identity_modes()[: len(identity)]
+    vertices = MESH.vertices + np.tensordot(np.array(identity, float), modes, axes=1)
+    assert 180 < np.ptp(vertices[grid_vertices()[:104], 1]) < 280
+    assert 0.5 * np.linalg.norm(face_normals(vertices), axis=1).min() > 0.005
 
 
 @settings(max_examples=15, deadline=None)
@@ -263,9 +263,9 @@ def test_expressions_do_what_they_say():
 
 @pytest.mark.parametrize("name", EXPRESSIONS)
 def test_expressions_fold_nothing_but_the_edges_of_lips_and_lids(name):
-    head = parametric_head(np.zeros(IDENTITY_MODES), name)
-    assert 0.5 * np.linalg.norm(face_normals(head.vertices), axis=1).min() > 0.005
-    assert not (flipped(head.vertices) & ~may_turn(name)).any()
+    vertices = MESH.vertices + expression_modes()[EXPRESSIONS.index(name)]
+    assert 0.5 * np.linalg.norm(face_normals(vertices), axis=1).min() > 0.005
+    assert not (flipped(vertices) & ~may_turn(name)).any()
 
 
 @settings(max_examples=25, deadline=None)
@@ -282,10 +282,6 @@ def test_nobody_of_any_sex_and_age_has_a_flipped_triangle(seed, expression, sex,
     assert 0.5 * np.linalg.norm(face_normals(head.vertices), axis=1).min() > 0.002
 
 
-def test_bad_arguments_are_refused():
-    with pytest.raises(SimError, match="at most 10"):
-        parametric_head(np.zeros(IDENTITY_MODES + 1))
-    with pytest.raises(SimError, match="finite"):
-        parametric_head(np.array([np.nan]))
+def test_an_expression_that_is_none_is_refused():
     with pytest.raises(SimError, match="smile"):
-        parametric_head(np.zeros(2), "sneer")
+        random_head(np.random.default_rng(0), "sneer")

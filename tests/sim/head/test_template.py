@@ -8,7 +8,9 @@ import pytest
 
 from lightstage.formats.exr import read_exr
 from lightstage.formats.template import REGIONS, default_template_path, load_template
-from sim.head.parametric import parametric_head
+from sim.head.mesh import neutral_mesh
+from sim.head.modes import EXPRESSIONS, expression_modes, identity_modes
+from sim.head.parametric import random_head
 from sim.head.template import write_template
 
 
@@ -79,15 +81,13 @@ def test_template_is_free_to_use_and_complete():
     assert 0 <= template.maps["translucency"].min() <= template.maps["translucency"].max() <= 1
 
 
-def test_template_and_parametric_heads_share_topology():
+def test_the_template_is_the_head_that_the_simulator_makes_now():
     template = load_template(default_template_path())
-    head = parametric_head(np.array([1.0, -0.5]), "smile")
-    assert np.array_equal(head.faces, template.mesh.faces)
-    expected = (
-        template.mesh.vertices + template.modes.identity[0] - 0.5 * template.modes.identity[1]
-    )
-    expected = expected + template.modes.expression[template.modes.expression_names.index("smile")]
-    assert np.abs(head.vertices - expected).max() < 1e-4
+    assert np.array_equal(random_head(np.random.default_rng(0)).faces, template.mesh.faces)
+    assert np.abs(template.mesh.vertices - neutral_mesh().vertices).max() < 1e-4
+    assert np.abs(template.modes.identity - identity_modes()).max() < 1e-4
+    assert np.abs(template.modes.expression - expression_modes()).max() < 1e-4
+    assert tuple(template.modes.expression_names) == EXPRESSIONS
 
 
 def test_skin_mask_is_the_face_without_the_eyes():
