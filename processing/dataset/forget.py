@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
-import json
 import os
 import re
 import shutil
@@ -27,27 +26,24 @@ from lightstage.formats.values import read_lines
 from processing.dataset.changes import BESIDE, remove_scans
 from processing.dataset.contents import RELEASES, now_utc, scans_of_fingerprint
 from processing.dataset.links import require_no_links_out
+from processing.dataset.named import names_subject
 from processing.dataset.scan import DatasetError, scan_digest
 from processing.dataset.store import DATASET, PUBLISHED, SCANS, STORE
 from processing.errors import ProcessingError
 from processing.records import RUN_LOCK
 
 SCHEMA, PROOF_SCHEMA = "lightstage.forget/1", "lightstage.forgotten/1"
-PERSONAL = frozenset(
-    f".{name}"
-    for name in (
-        *("exr", "dng", "nef", "cr2", "cr3", "arw", "raf", "pef", "jpg", "jpeg", "png"),
-        *("tif", "tiff", "ply", "obj"),
-    )
-)
-"""Suffixes of files that show a person: a copy of one elsewhere is the person's too."""
 SHARED = "calibration"
 """A session's folder of what it has in common with other sessions."""
-TEXT = frozenset(
+NOT_SHOWN = frozenset(
     ["", *(f".{n}" for n in ("json", "jsonl", "toml", "txt", "csv", "tsv", "html", "md", "log"))]
 )
-TEXT_BYTES = 1 << 26
+"""Suffixes of files that show nobody; all others do, since cameras name photographs in many ways. A
+copy of one elsewhere is the person's too."""
 LEFT_BESIDE = re.compile(r"\.(?P<stem>.+)\.[0-9a-f]{8}(\..+)?")
+JOURNAL = "journal.jsonl"
+LOCKS = (("session", JOURNAL, "capture"), ("processed folder", RUN_LOCK, "run"))
+"""Kinds of folders, the file that who writes to one holds, and who that is."""
 BATCH_LISTS = ("batch.json", "batch.html")
 KINDS = ("session", "processed folder", "left by a killed process", "list of a batch", "copy")
 
@@ -146,7 +142,7 @@ def survey(
         elif kind == "checkpoint":
             fingerprint = _text(read_json(path / "checkpoint.json"), "data_fingerprint")
             checkpoints.append((path, fingerprint or ""))
-        if BATCH_LISTS[0] in names and _names(path / BATCH_LISTS[0], subject):
+        if BATCH_LISTS[0] in names and names_subject(path / BATCH_LISTS[0], subject):
             for name in BATCH_LISTS:
                 if (path / name).exists():
                     found.add("list of a batch", path / name)
@@ -184,7 +180,7 @@ def _walked(folders: Sequence[Path]) -> Iterator[tuple[Path, list[str]]]:
 
 def _kind(path: Path, names: Sequence[str]) -> str | None:
     """What a folder is by the files in it; None for what is none of ours."""
-    if "session.json" in names or "journal.jsonl" in names:
+    if "session.json" in names or JOURNAL in names:
         return "session"
     if DATASET in names:
         kind = _text(read_json(path / DATASET), "kind")
@@ -198,8 +194,8 @@ def _subject(path: Path, names: Sequence[str]) -> str | None:
     """Whose session or processed folder it is; None where it does not state it."""
     if "session.json" in names:
         return _text(read_json(path / "session.json"), "subject")
-    if "journal.jsonl" in names:
-        lines = read_lines(path / "journal.jsonl")
+    if JOURNAL in names:
+        lines = read_lines(path / JOURNAL)
         return next((_text(line, "subject") for line in lines if _text(line, "subject")), None)
     subject = None
     if "stages.json" in names:
@@ -291,7 +287,7 @@ def _copies(others: list[Path], found: Found) -> None:
     gone = {Path(p) for paths in found.removed.values() for p in paths}
     sizes = set(found.hashes.values())
     for path in others:
-        if path.suffix.lower() not in PERSONAL or gone & {path, *path.parents}:
+        if path.suffix.lower() in NOT_SHOWN or gone & {path, *path.parents}:
             continue
         if path.is_file() and path.stat().st_size in sizes and sha256_file(path) in found.hashes:
             found.add("copy", path)
@@ -302,7 +298,7 @@ def personal_files(folder: Path) -> list[Path]:
     return sorted(
         path
         for path in folder.rglob("*")
-        if path.suffix.lower() in PERSONAL
+        if path.suffix.lower() not in NOT_SHOWN
         and path.is_file()
         and SHARED not in path.relative_to(folder).parts
     )
@@ -388,16 +384,19 @@ def _remove(found: Found, progress: ProgressCallback) -> None:
     total = len(paths) + len(found.scans)
     done = 0
     with contextlib.ExitStack() as stack:
-        # All locks before the first file goes: a run that works on one of them is not disturbed.
-        for path in map(Path, found.removed.get("processed folder", [])):
-            if path.is_dir():
+        # All locks before the first file goes: who works on one of the folders is not disturbed.
+        for kind, lock, who in LOCKS:
+            for path in map(Path, found.removed.get(kind, [])):
+                # A session that was imported has no journal.
+                if not path.is_dir() or (kind == "session" and not (path / lock).is_file()):
+                    continue
                 busy = ProcessingError(
                     path,
-                    found="a folder that a run is writing to",
+                    found=f"a folder that a {who} is writing to",
                     expected="one that is at rest",
-                    hint="Wait until that run has ended, and call this again.",
+                    hint=f"Wait until that {who} has ended, and call this again.",
                 )
-                stack.enter_context(locked(path / RUN_LOCK, busy))
+                stack.enter_context(locked(path / lock, busy))
         for store, names in found.scans.items():
             if names:
                 remove_scans(Path(store), names)
@@ -435,7 +434,7 @@ def what_is_left(
             if path in seen or path == plan.resolve() or path.name.startswith("forgotten-"):
                 continue
             seen.add(path)
-            if _word(subject).search(path.name) or _names(path, subject):
+            if names_subject(path, subject):
                 left["by_pseudonym"].append(str(path))
             if path.is_dir() and (path / "session.json").is_file():
                 recorded |= _recorded(path)
@@ -453,26 +452,6 @@ def _recorded(session: Path) -> dict[Path, str]:
     frames = value.get("frames") if isinstance(value, dict) else None
     named = [(_text(f, "path"), _text(f, "sha256")) for f in frames or []]
     return {session / path: digest for path, digest in named if path and digest}
-
-
-def _word(subject: str) -> re.Pattern[str]:
-    return re.compile(rf"(?<![\w-]){''.join(map(_letter, subject))}(?![\w-])")
-
-
-def _letter(letter: str) -> str:
-    """A pattern of a letter, also as JSON escapes it, ours too, where it is beyond ASCII."""
-    if letter.isascii():
-        return re.escape(letter)
-    return f"(?:{re.escape(letter)}|(?i:{re.escape(json.dumps(letter)[1:-1])}))"
-
-
-def _names(path: Path, subject: str) -> bool:
-    """Whether a text file has a pseudonym."""
-    if path.suffix.lower() not in TEXT or path.is_symlink() or not path.is_file():
-        return False
-    if path.stat().st_size > TEXT_BYTES:
-        return False
-    return bool(_word(subject).search(path.read_text("utf-8", errors="replace")))
 
 
 def found_in_words(found: Found) -> list[str]:
