@@ -143,7 +143,7 @@ def add_scan(store: Path, root: Path, consents: Path | None = None) -> str:
     beside = store / SCANS / f"{BESIDE}{secrets.token_hex(4)}"
     try:
         made = _written(store, entry, maps, beside.name)
-        made = dataclasses.replace(made, folder=folder_of(entry))
+        made = dataclasses.replace(made, folder=_folder_of(entry))
         # On the disk before the list names them.
         for path in beside.rglob("*"):
             fsync_path(path)
@@ -231,11 +231,15 @@ def verify_store(store: Path, progress: ProgressCallback = quiet) -> tuple[int, 
     return files, sorted(p.name for p in (store / SCANS).iterdir() if p.name not in own)
 
 
-def folder_of(entry: ScanEntry) -> str:
+def folder_of(subject: str, expression: str, sha256: str) -> str:
     """A scan's name in a store: it shows nothing of the person, and is the same in every store."""
     # Two people's scans of the same files are two scans.
-    key = "\0".join((entry.subject, entry.expression, entry.sha256))
+    key = "\0".join((subject, expression, sha256))
     return hashlib.sha256(key.encode()).hexdigest()[:FOLDER_DIGITS]
+
+
+def _folder_of(entry: ScanEntry) -> str:
+    return folder_of(entry.subject, entry.expression, entry.sha256)
 
 
 def _require_store(store: Path) -> None:
@@ -271,7 +275,7 @@ def _written(
     store: Path, entry: ScanEntry, maps: dict[str, np.ndarray], name: str | None = None
 ) -> Entry:
     """Write a scan's arrays and the hashes of their files."""
-    folder = store / SCANS / (name or folder_of(entry))
+    folder = store / SCANS / (name or _folder_of(entry))
     for each, image in maps.items():
         _write_map(folder / each, each, image)
     files = sorted(path for path in folder.rglob("*") if path.is_file())

@@ -23,7 +23,7 @@ from lightstage.formats.files import read_json, sha256_file, write_json
 from lightstage.formats.lock import locked
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.values import read_lines
-from processing.dataset.changes import BESIDE, remove_scans
+from processing.dataset.changes import BESIDE, folder_of, remove_scans
 from processing.dataset.contents import RELEASES, now_utc, scans_of_fingerprint
 from processing.dataset.links import require_no_links_out
 from processing.dataset.named import names_subject
@@ -128,6 +128,7 @@ def survey(
     others: list[Path] = []
     processed: list[Path] = []
     stores: list[Path] = []
+    half_built: list[Path] = []
     checkpoints: list[tuple[Path, str]] = []
     for path, names in _walked(folders):
         kind = _kind(path, names)
@@ -148,13 +149,15 @@ def survey(
                     found.add("list of a batch", path / name)
         if kind is None:
             others += [path / name for name in names]
+            if LEFT_BESIDE.fullmatch(path.name) and (path / SCANS).is_dir():
+                half_built.append(path)
     own = [Path(p) for kind in KINDS[:2] for p in found.removed.get(kind, [])]
     for path in own:
         for beside in path.parent.glob(".*"):
             match = LEFT_BESIDE.fullmatch(beside.name)
             if match and match["stem"] == path.name:
                 found.add("left by a killed process", beside)
-    _of_stores(subject, stores, own, found)
+    _of_stores(subject, stores, half_built, own, found)
     _holders(stores, checkpoints, found)
     _hash_own(own, others, found, hashed, progress)
     _leave_common(processed, found)
@@ -218,23 +221,43 @@ def _text(value: Any, key: str) -> str | None:
     return text if isinstance(text, str) else None
 
 
-def _of_stores(subject: str, stores: list[Path], own: list[Path], found: Found) -> None:
-    digests = set()
+def _of_stores(
+    subject: str, stores: list[Path], half_built: list[Path], own: list[Path], found: Found
+) -> None:
+    scans = [(_expression(path), _scan_sha256(path)) for path in own]
+    listed: dict[Path, set[str]] = {}
     for store in stores:
-        scans = read_json(store / DATASET).get("scans", [])
-        theirs = [scan for scan in scans if _text(scan, "subject") == subject]
-        digests |= {str(scan.get("sha256")) for scan in theirs}
-        if theirs and len(theirs) == len(scans):
+        entries = read_json(store / DATASET).get("scans", [])
+        theirs = [entry for entry in entries if _text(entry, "subject") == subject]
+        scans += [(_text(entry, "expression"), _text(entry, "sha256")) for entry in theirs]
+        if theirs and len(theirs) == len(entries):
             found.whole.append(str(store))
         elif theirs:
-            found.scans[str(store)] = [str(scan.get("folder", "")) for scan in theirs]
-        if theirs:
-            for path in sorted((store / SCANS).glob(f"{BESIDE}*")):
-                found.add("left by a killed process", path)
-    for path in own:
-        with contextlib.suppress(OSError):  # of a folder without an atlas no scan was made
-            digests.add(scan_digest(ProcessedFolder(path)))
-    found.scan_sha256 = sorted(digests)
+            found.scans[str(store)] = [str(entry.get("folder", "")) for entry in theirs]
+        listed[store] = {str(entry.get("folder", "")) for entry in entries}
+    found.scan_sha256 = sorted({digest for _, digest in scans if digest})
+    # A scan has the same name in every store. One that was being written has none yet.
+    names = {folder_of(subject, kind or "", digest) for kind, digest in scans if digest}
+    for path in (path for store in stores for path in sorted((store / SCANS).glob("*"))):
+        unlisted = path.name in names - listed[path.parents[1]]
+        if unlisted or (names and path.name.startswith(BESIDE)):
+            found.add("left by a killed process", path)
+    for folder in half_built:
+        if any(path.name in names for path in (folder / SCANS).iterdir()):
+            found.add("left by a killed process", folder)
+
+
+def _scan_sha256(processed: Path) -> str | None:
+    """SHA-256 of the scan that a store has of a folder; None where it has no atlas."""
+    try:
+        return scan_digest(ProcessedFolder(processed))
+    except OSError:
+        return None
+
+
+def _expression(processed: Path) -> str | None:
+    path = processed / "report.json"
+    return _text(read_json(path), "expression") if path.is_file() else None
 
 
 def _holders(stores: list[Path], checkpoints: list[tuple[Path, str]], found: Found) -> None:

@@ -15,7 +15,7 @@ import pytest
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.files import write_json
 from lightstage.formats.lock import locked
-from processing.dataset import PublishConfig, build_store, forget, open_store
+from processing.dataset import PublishConfig, build_store, forget, open_store, verify_store
 from processing.dataset.named import names_subject
 from processing.records import RUN_LOCK
 from tests.processing import lit_ball
@@ -147,6 +147,23 @@ def test_a_copy_elsewhere_and_what_killed_processes_left_go_too(
     assert [p.name for p in card.iterdir()] == ["0002.exr"]
     assert not half.exists()
     assert not (lab / "store" / "scans" / ".adding-01234567").exists()
+
+
+def test_scans_that_killed_processes_left_in_no_list_go_too(lab: Path, tmp_path: Path) -> None:
+    name = next(s.folder for s in open_store(lab / "store").scans if s.subject == WHO)
+    other = build_store([lab / "P" / "p0"], lab / "other store")
+    left = [
+        other / "scans" / name,  # `dataset add`, before the scan was listed
+        other / "scans" / ".adding-01234567",  # earlier
+        lab / ".new store.0123abcd" / "scans" / name,  # `dataset build`
+    ]
+    for folder in left:
+        shutil.copytree(lab / "store" / "scans" / name, folder)
+    forget.forget(WHO, [lab], tmp_path / "office")
+    assert not any(folder.exists() for folder in left)
+    assert not left[2].parents[1].exists()
+    assert [s.subject for s in open_store(other).scans] == ["person-0"]
+    assert verify_store(other)[1] == []
 
 
 def test_what_names_the_person_still_is_reported_and_exits_2(
