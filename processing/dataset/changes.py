@@ -17,7 +17,14 @@ import zarr
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import LightstageError, one_error
 from lightstage.formats.consents import require_consents
-from lightstage.formats.files import atomic_folder, fsync_path, read_json, sha256_file, write_json
+from lightstage.formats.files import (
+    atomic_folder,
+    fsync_path,
+    read_json,
+    require_replaceable,
+    sha256_file,
+    write_json,
+)
 from lightstage.formats.lock import locked
 from processing.dataset.arrays import written_whole
 from processing.dataset.contents import (
@@ -34,7 +41,8 @@ from processing.dataset.store import CHUNK, DATASET, SCANS, SHARD, STORE, open_s
 
 LOCK = "store.lock"
 LOCK_S = 60.0
-"""Whoever changes dataset.json holds the lock for milliseconds."""
+"""Whoever changes dataset.json holds the lock for milliseconds; who builds the store anew, for all
+the time that this takes."""
 SHARDS, SHARDS_SCHEMA = "shards.json", "lightstage.shards/1"
 BESIDE = ".adding-"
 """Begins the name of a scan that is being written, in `scans`."""
@@ -55,7 +63,8 @@ def build_store(
     Args:
         processed: folders with atlas/, head_from_world.json and report.json (subject, expression,
             and the id of the record of the person's consent where there is one).
-        out: the store's folder; an older store there is replaced.
+        out: the store's folder; an older store there is replaced, and no other process can change
+            it meanwhile.
         progress: called after each folder.
         consents: the lab's registry, where there is one: everybody must have agreed to research.
 
@@ -66,7 +75,8 @@ def build_store(
         ConfigError: people who did not agree to research, before any map is read.
         FormatError, DatasetError: no folder, something that is no processed folder, a missing map,
             maps or atlases of different size, NaN, a missing or not rigid head_from_world, a folder
-            given twice, a scan of the same files, a pseudonym of two people; all in one message.
+            given twice, a scan of the same files, a pseudonym of two people, all in one message; an
+            older store that another process is changing.
     """
     if not processed:
         raise DatasetError(
@@ -79,7 +89,12 @@ def build_store(
     problems: list[LightstageError] = []
     entries: list[Entry] = []
     known: dict[str, ScanEntry] = {}
-    with atomic_folder(out, DATASET, STORE) as beside:
+    require_replaceable(out, DATASET, STORE)
+    with contextlib.ExitStack() as stack:
+        if (out / DATASET).is_file():
+            # A scan that is added or removed meanwhile would be lost, or be back, with the new one.
+            stack.enter_context(_changing(out))
+        beside = stack.enter_context(atomic_folder(out, DATASET, STORE))
         for index, root in enumerate(processed):
             try:
                 if root.resolve() in {p.resolve() for p in processed[:index]}:
