@@ -32,7 +32,7 @@ from processing.records import (
     MadeFrom,
     Record,
     files_in,
-    hash_folder,
+    hash_template,
     measured,
     read_records,
     remove_leftovers,
@@ -187,7 +187,7 @@ def read_job(
         )
     template, template_hash = None, ""
     if STAGES.index(last) >= STAGES.index(WITH_TEMPLATE[0]):
-        template_hash = hash_folder(template_path)
+        template_hash = hash_template(template_path)
         template = _template(template_path, template_hash)
         # Registration needs them an hour later at full size: reported now.
         require_landmarks(session, config.register)

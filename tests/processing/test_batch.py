@@ -24,7 +24,7 @@ from processing.atlas.config import AtlasConfig
 from processing.batch import needs, work
 from processing.pipeline import run
 from processing.pipeline_config import PipelineConfig
-from processing.records import RUN_LOCK, code_version, hash_folder
+from processing.records import RUN_LOCK, code_version, hash_template
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball
 
@@ -59,7 +59,7 @@ def order(session: Path, out: Path, **values: object) -> work.Order:
         "until": "separate",
         "peers": 1,
         "code": code_version(),
-        "template_hash": hash_folder(TEMPLATE),
+        "template_hash": hash_template(TEMPLATE),
     }
     return work.Order(**{**known, **values})
 
