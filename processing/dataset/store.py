@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import hashlib
 import shlex
 from pathlib import Path
 
@@ -69,6 +70,16 @@ class Scan:
     synthetic: bool = False
     folder: str = ""
     has_sums: bool = False
+
+    @property
+    def trace(self) -> str:
+        """What a checkpoint knows the scan by: a hash of `sha256`, empty where there is none.
+
+        Weights leave the lab. `sha256` itself must not go with them: it draws the places and the
+        turns of a person's published patches (`places.places_of`).
+        """
+        text = f"a network was trained on {self.sha256}"
+        return hashlib.sha256(text.encode()).hexdigest() if self.sha256 else ""
 
 
 @dataclasses.dataclass(frozen=True)
