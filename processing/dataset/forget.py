@@ -28,7 +28,7 @@ from processing.dataset.contents import RELEASES, now_utc, scans_of_fingerprint
 from processing.dataset.links import require_no_links_out
 from processing.dataset.named import names_subject
 from processing.dataset.scan import DatasetError, scan_digest
-from processing.dataset.store import DATASET, PUBLISHED, SCANS, STORE
+from processing.dataset.store import DATASET, PUBLISHED, SCANS, STORE, trace_of
 from processing.errors import ProcessingError
 from processing.records import RUN_LOCK
 
@@ -129,7 +129,7 @@ def survey(
     processed: list[Path] = []
     stores: list[Path] = []
     half_built: list[Path] = []
-    checkpoints: list[tuple[Path, str]] = []
+    checkpoints: list[tuple[Path, Any]] = []
     for path, names in _walked(folders):
         kind = _kind(path, names)
         if kind in ("session", "processed folder"):
@@ -141,8 +141,7 @@ def survey(
         elif kind == STORE:
             stores.append(path)
         elif kind == "checkpoint":
-            fingerprint = _text(read_json(path / "checkpoint.json"), "data_fingerprint")
-            checkpoints.append((path, fingerprint or ""))
+            checkpoints.append((path, read_json(path / "checkpoint.json")))
         if BATCH_LISTS[0] in names and names_subject(path / BATCH_LISTS[0], subject):
             for name in BATCH_LISTS:
                 if (path / name).exists():
@@ -260,7 +259,7 @@ def _expression(processed: Path) -> str | None:
     return _text(read_json(path), "expression") if path.is_file() else None
 
 
-def _holders(stores: list[Path], checkpoints: list[tuple[Path, str]], found: Found) -> None:
+def _holders(stores: list[Path], checkpoints: list[tuple[Path, Any]], found: Found) -> None:
     """Releases and checkpoints that held the person, by the stores' records."""
     theirs = set(found.scan_sha256)
     held: set[str] = set()
@@ -274,9 +273,14 @@ def _holders(stores: list[Path], checkpoints: list[tuple[Path, str]], found: Fou
         for line in read_lines(store / RELEASES) if (store / RELEASES).is_file() else []:
             if isinstance(line, dict) and theirs & set(line.get("scans", [])):
                 found.published.append({k: v for k, v in line.items() if k != "scans"})
-    found.checkpoints = sorted(
-        str(path) for path, fingerprint in checkpoints if fingerprint in held
-    )
+    traces = theirs | {trace_of(digest) for digest in theirs}
+    for path, value in checkpoints:
+        # Also of a run that began with another's weights, in a store without the person.
+        known = value.get("trained_on") if isinstance(value, dict) else None
+        trained = isinstance(known, list) and traces & set(map(str, known))
+        if trained or _text(value, "data_fingerprint") in held:
+            found.checkpoints.append(str(path))
+    found.checkpoints.sort()
 
 
 def _hash_own(

@@ -166,6 +166,17 @@ def test_scans_that_killed_processes_left_in_no_list_go_too(lab: Path, tmp_path:
     assert verify_store(other)[1] == []
 
 
+@pytest.mark.parametrize("by", ["trace", "sha256"])
+def test_networks_that_began_with_weights_of_the_person_are_listed(lab: Path, by: str) -> None:
+    """Trained on a store without the person, by their scans; those of an earlier version too."""
+    for scan in open_store(lab / "store").scans[:2]:
+        (lab / scan.subject).mkdir()
+        value = {"data_fingerprint": "e" * 64, "trained_on": ["0" * 64, getattr(scan, by)]}
+        write_json(lab / scan.subject / "checkpoint.json", value)
+    found = forget.survey(WHO, [lab], hashed=False)
+    assert found.checkpoints == [str(lab / WHO), str(lab / "run")]
+
+
 def test_what_names_the_person_still_is_reported_and_exits_2(
     lab: Path, tmp_path: Path, command: Callable[..., Any]
 ) -> None:
