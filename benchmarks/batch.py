@@ -48,7 +48,7 @@ from processing.dataset import (
     verify_store,
 )
 from processing.pipeline_config import PipelineConfig
-from processing.records import RUN_LOCK, code_version, hash_folder
+from processing.records import RUN_LOCK, code_version, hash_template
 
 UNTIL = "separate"
 CAMERAS = ("cam0", "cam1", "cam2")
@@ -189,7 +189,7 @@ def part_batch(at: Path, sizes: Sizes) -> dict[str, Any]:
                 UNTIL,
                 2,
                 code_version(),
-                hash_folder(template),
+                hash_template(template),
             )
             began = time.perf_counter()
             assert work.look(order).left == ()

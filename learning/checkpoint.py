@@ -63,8 +63,8 @@ class Checkpoint:
         step_seconds: what these steps took, but for the first of each call, which compiles loops.
         files: role (generator, generators or network; average; training) to {name, sha256}.
         began_with: `files` of the run whose networks it began with; empty where these were random.
-        trained_on: SHA-256 of the scans that it, and those that it began with, were trained on;
-            empty where that was not recorded.
+        trained_on: the traces (`Scan.trace`) of the scans that it, and those that it began with,
+            were trained on; of an earlier version their SHA-256. Empty where that was not recorded.
     """
 
     folder: Path

@@ -394,6 +394,9 @@ def begin(
         began_with, known = checkpoint.began_with, set(checkpoint.trained_on)
     elif processes.first or (out / INDEX).exists():
         require_new(out, "Resume it with --resume, or choose another --out.")
+    # Runs of an earlier version wrote what must not leave the lab.
+    traces = {scan.sha256: scan.trace for scan in store.scans}
+    known = {traces.get(each, each) for each in known}
     about = {
         "family": config.family,
         "config": as_dict(config),
@@ -402,7 +405,7 @@ def begin(
         "texture_rows": config.rows_shown(store.scans[0].rows),
         "metrics": {},
         "trained_on": sorted(
-            known | {scan.sha256 for scan in store.scans if scan.subject not in held_out}
+            known | {scan.trace for scan in store.scans if scan.subject not in held_out}
         ),
     }
     if began_with:

@@ -70,8 +70,10 @@ def weights_of(
     known = sorted(held_out - set(other.held_out))
     if other.data_fingerprint != store.fingerprint:
         # Of another store some people may be the same.
-        scans = {scan.sha256: scan.subject for scan in store.scans if scan.subject in held_out}
-        known = sorted({scans[own] for own in other.trained_on if own in scans})
+        own = [scan for scan in store.scans if scan.subject in held_out]
+        # Checkpoints of an earlier version have the scans' own hashes.
+        scans = {key: scan.subject for scan in own for key in (scan.trace, scan.sha256)}
+        known = sorted({scans[key] for key in other.trained_on if key in scans})
     if known:
         raise CheckpointError(
             where,

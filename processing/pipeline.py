@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import dataclasses
 import functools
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from lightstage.errors import FormatError, one_error
 from lightstage.formats.config import as_dict
 from lightstage.formats.files import write_json
 from lightstage.formats.lock import locked
+from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
 from processing.atlas.stage import atlas
@@ -32,7 +34,7 @@ from processing.records import (
     MadeFrom,
     Record,
     files_in,
-    hash_folder,
+    hash_template,
     measured,
     read_records,
     remove_leftovers,
@@ -187,7 +189,7 @@ def read_job(
         )
     template, template_hash = None, ""
     if STAGES.index(last) >= STAGES.index(WITH_TEMPLATE[0]):
-        template_hash = hash_folder(template_path)
+        template_hash = hash_template(template_path)
         template = _template(template_path, template_hash)
         # Registration needs them an hour later at full size: reported now.
         require_landmarks(session, config.register)
@@ -339,6 +341,8 @@ def _run_stage(
         # Maps in views/ are of other coarse ones; `refine`, or the run's end, writes them anew.
         for path in (job.out / VIEWS).glob("*/*.exr"):
             path.unlink()
+    if stage == "decode":
+        _remove_other_cameras(job)
     # Before the stage's first file: a folder names its session however early the stage ends.
     write_records(job.out, job.made_from, kept)
     before = files_in(job.out)
@@ -352,6 +356,19 @@ def _run_stage(
     kept[stage] = Record(inputs.key, outputs, facts, inputs.parts, config)
     write_records(job.out, job.made_from, kept)
     return kept
+
+
+def _remove_other_cameras(job: Job) -> None:
+    """Remove what there is of cameras that the session no longer has: stages read all views."""
+    frames, own = job.out / "work" / "frames", set(job.session.camera_ids())
+    there = {*ProcessedFolder(job.out).view_ids(), *(path.name for path in frames.glob("*"))}
+    for camera in there - own:
+        shutil.rmtree(job.out / VIEWS / camera, ignore_errors=True)
+        for path in (job.out / "work").glob("*/*"):
+            if path.is_dir() and path.name == camera:
+                shutil.rmtree(path)
+            elif path.stem == camera:
+                path.unlink()
 
 
 def _stage(job: Job, stage: str, progress: ProgressCallback) -> dict[str, Any]:

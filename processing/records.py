@@ -18,6 +18,8 @@ from typing import Any
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import leftovers, read_json, sha256_file, write_json
+from lightstage.formats.population import FILE as POPULATION
+from lightstage.formats.population import POINTS_FILE as POINTS_OF_POPULATION
 from processing.errors import ProcessingError
 
 SCHEMA = "processing.stages/1"
@@ -174,9 +176,13 @@ def hash_of(*values: Any) -> str:
     return hashlib.sha256(json.dumps(values, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def hash_folder(folder: Path) -> str:
-    """SHA-256 of a folder's files, names and bytes."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
+def hash_template(folder: Path) -> str:
+    """SHA-256 of the files of a template that stages read, names and bytes: not its population."""
+    files = sorted(
+        path
+        for path in folder.rglob("*")
+        if path.is_file() and path.name not in (POPULATION, POINTS_OF_POPULATION)
+    )
     return hash_of([(str(path.relative_to(folder)), sha256_file(path)) for path in files])
 
 

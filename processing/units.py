@@ -26,17 +26,15 @@ MM, CM, METRES = Unit("mm", 1.0), Unit("cm", 10.0), Unit("metres", 1000.0)
 
 
 def likely_unit(vertices: np.ndarray) -> Unit:
-    """The largest of mm, cm and metres in which a mesh is not too small for a face.
+    """The smallest of mm, cm and metres in which a mesh is large enough for a face.
 
-    What is large enough in mm is taken for mm: a body in cm is as large as a head in mm.
+    So a head or a body in metres is; a body in cm is as large as a head in mm, and taken for that.
 
     Args:
         vertices: (n, 3), finite; n at least 1.
     """
     side = largest_side(vertices)
-    if side >= SMALLEST_MM:
-        return MM
-    return METRES if side < SMALLEST_MM / 100 else CM
+    return next((unit for unit in (MM, CM) if side * unit.mm >= SMALLEST_MM), METRES)
 
 
 def largest_side(vertices: np.ndarray) -> float:

@@ -147,8 +147,9 @@ def _run(
         raise FormatError(template, found="no template.json in it", expected="a template's folder")
     sizes = [needs.megapixels(session) for session in sessions]
     if count is None and scheduler is None:
+        needed = needs.peak_bytes(max(sizes), stages.atlas.rows, until)
         free = needs.free_bytes()
-        count = needs.worker_count(max(sizes), len(sessions), settings.memory_share, free)
+        count = needs.worker_count(needed, len(sessions), settings.memory_share, free)
     # Workers may have another working folder.
     out, template = out.resolve(), template.resolve()
     folders = [str(session.root.resolve()) for session in sessions]

@@ -12,8 +12,8 @@ from processing.parallel import cores
 GIB = 2**30
 SMALL_MP, LARGE_MP = 0.0864, 24.2
 """Megapixels of a photograph at which the two columns of `PEAK_GIB` were measured."""
-MEASURED_ROWS = 6144
-"""Rows of the atlas in the measurements of the large photographs: the default."""
+SMALL_ROWS, MEASURED_ROWS = 96, 6144
+"""Rows of the atlas in these measurements: the large one is the default."""
 PEAK_GIB: Mapping[str, tuple[float, float]] = {
     "decode": (0.37, 0.76),
     "separate": (0.47, 3.78),
@@ -24,7 +24,11 @@ PEAK_GIB: Mapping[str, tuple[float, float]] = {
 }
 """Peak memory of a stage. The second column is benchmarks/RESULTS.md's session of nine views of 24
 megapixels with an atlas of `MEASURED_ROWS`; the first a session of three views of 240 x 360 with
-one of 96 rows, whose peak is the compiler's and the libraries'."""
+one of `SMALL_ROWS`, whose peak is the compiler's and the libraries'."""
+TEXELS_GIB = 3.6
+"""Of the difference between the atlas's two measurements, what its texels take, whatever the
+photographs: of small ones 1536 rows take .17 GiB more than 768 do (benchmarks/RESULTS.md), .144 a
+million texels. The rest grows with the photographs."""
 SECONDS: Mapping[str, tuple[float, float]] = {
     "decode": (1.0, 25.0),
     "separate": (1.0, 34.0),
@@ -50,9 +54,22 @@ def between(table: Mapping[str, tuple[float, float]], stage: str, size_mp: float
     return max(small, small + share * (large - small))
 
 
-def peak_bytes(size_mp: float) -> int:
-    """Most memory that any stage takes of photographs of so many megapixels."""
-    return int(GIB * max(between(PEAK_GIB, stage, size_mp) for stage in PEAK_GIB))
+def peak_bytes(size_mp: float, rows: int, last: str) -> int:
+    """Most memory that any stage takes.
+
+    Args:
+        size_mp: megapixels of a photograph.
+        rows: of the atlas.
+        last: the last stage that is run.
+    """
+    stages = list(PEAK_GIB)
+    needed = {name: between(PEAK_GIB, name, size_mp) for name in stages[: stages.index(last) + 1]}
+    if "atlas" in needed:
+        small, large = PEAK_GIB["atlas"]
+        of_photographs = between({"atlas": (small, large - TEXELS_GIB)}, "atlas", size_mp)
+        share = (rows**2 - SMALL_ROWS**2) / (MEASURED_ROWS**2 - SMALL_ROWS**2)
+        needed["atlas"] = of_photographs + max(0.0, share) * TEXELS_GIB
+    return int(GIB * max(needed.values()))
 
 
 def free_bytes() -> int:
@@ -67,11 +84,11 @@ def free_bytes() -> int:
     return max(0, free)
 
 
-def worker_count(size_mp: float, sessions: int, memory_share: float, free: int) -> int:
+def worker_count(needed: int, sessions: int, memory_share: float, free: int) -> int:
     """Workers of this machine: as many as memory holds, at most one a core and a session.
 
     Args:
-        size_mp: of the largest photograph of all sessions.
+        needed: bytes, of `peak_bytes` for the largest photograph of all sessions.
         sessions: how many there are.
         memory_share: of the free memory, the share to be used.
         free: bytes.
@@ -79,15 +96,14 @@ def worker_count(size_mp: float, sessions: int, memory_share: float, free: int) 
     Raises:
         MemoryLimitError: not enough for one.
     """
-    needed = peak_bytes(size_mp)
     count = int(free * memory_share // needed)
     if count < 1:
         raise MemoryLimitError(
             "batch",
             field="--workers",
             found=f"{free / GIB:.1f} GiB of free memory",
-            expected=f"{needed / memory_share / GIB:.1f} GiB for one session of "
-            f"{size_mp:.1f} megapixels",
-            hint="Close other programs, or name a number of workers yourself.",
+            expected=f"{needed / memory_share / GIB:.1f} GiB for one session",
+            hint="Close other programs, make a smaller atlas (--atlas-rows), or name a number of "
+            "workers yourself.",
         )
     return max(1, min(count, cores(), sessions))

@@ -120,13 +120,13 @@ def about(template: str, out: str, sessions: list[str]) -> dict[str, Any]:
         out: the batch's folder.
         sessions: folders, of which the first that is missing is named.
     """
-    from processing.records import code_version, hash_folder
+    from processing.records import code_version, hash_template
 
     place = Path(template)
     return {
         "host": socket.gethostname(),
         "code": code_version(),
-        "template": hash_folder(place) if (place / "template.json").is_file() else None,
+        "template": hash_template(place) if (place / "template.json").is_file() else None,
         "out": os.access(out, os.W_OK),
         "missing": next((s for s in sessions if not Path(s, "session.json").is_file()), None),
     }
@@ -184,14 +184,14 @@ def _work(order: Order, verified: bool | None, worker: str) -> Answer:
 
 def _unfit(order: Order) -> str:
     """Why this worker's results would be others than those of the batch; empty where they are."""
-    from processing.records import code_version, hash_folder
+    from processing.records import code_version, hash_template
 
     host = socket.gethostname()
     if code_version() != order.code:
         return f"worker on {host}: found another version of this software, expected the batch's"
     place = Path(order.template)
     there = (place / "template.json").is_file()
-    if not there or hash_folder(place) != order.template_hash:
+    if not there or hash_template(place) != order.template_hash:
         found = "another template" if there else "no template"
         return f"worker on {host}: found {found} at {place}, expected the batch's"
     return ""

@@ -17,9 +17,10 @@ from lightstage.formats.exr import read_exr
 from lightstage.formats.session import Session
 from lightstage.nearest_point import nearest_equations
 from lightstage.rig import Camera
-from processing.calibration.picture import read_mosaic
+from processing.calibration.picture import flattened, read_mosaic
 from processing.colour import ColourCorrection
 from processing.errors import ProcessingError
+from processing.raw.flat_file import FlatField
 
 EDGE_POINTS = 400
 """Number of points on a ball's outline in each camera."""
@@ -89,6 +90,7 @@ def ball_shots(
     session: Session,
     colour: Mapping[str, ColourCorrection] | None = None,
     patterns: tuple[str, ...] | None = None,
+    flats: Mapping[str, FlatField] | None = None,
 ) -> BallShots:
     """A session's photographs of a ball.
 
@@ -96,9 +98,11 @@ def ball_shots(
         session: one pose.
         colour: corrections of its cameras; without them channels are the cameras' raw ones.
         patterns: some of its patterns; all where absent.
+        flats: fields of its cameras, by which black level and vignetting of RAW photographs are
+            mended: a lens's darker rim would pass for weaker lamps.
     """
     names = tuple(session.file.sequence) if patterns is None else patterns
-    corrections = colour or {}
+    corrections, fields = colour or {}, flats or {}
 
     def read(pattern: str, camera_id: str) -> Picture:
         frame = session.frame(pattern, camera_id)
@@ -110,7 +114,7 @@ def ball_shots(
                 raise FormatError(path, found="one channel", expected="R G B")
             picture = Picture(rgb, np.isfinite(rgb).all(axis=2), camera)
         else:
-            mosaic = read_mosaic(path)
+            mosaic = flattened(read_mosaic(path), fields.get(camera_id))
             rgb = mosaic.cells()
             if camera_id in corrections:
                 rgb = corrections[camera_id].apply(rgb)

@@ -14,6 +14,7 @@ from lightstage.exif import read_exif
 from lightstage.formats.orientation import UNTURNED, Orientation, of_libraw
 from lightstage.raw_errors import unreadable_raw
 from processing.raw.clip import CLIP_SHARE
+from processing.raw.flat_file import FlatField
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,3 +104,17 @@ def read_mosaic(path: Path, clip_share: float = CLIP_SHARE) -> Mosaic:
     # One scale for all places, as decode has it: a count is as much light in each.
     level /= np.float32(max(white - black[colours.ravel()].max(), 1.0))
     return Mosaic(level, clipped, channels, exposure).upright(orientation)
+
+
+def flattened(mosaic: Mosaic, field: FlatField | None) -> Mosaic:
+    """A photograph with its black level mended and its vignetting undone."""
+    if field is None:
+        return mosaic
+    read = mosaic.as_read()
+    level = read.level.copy()
+    if field.black_offset is not None:
+        for place, offset in enumerate(field.black_offset):
+            level[place // 2 :: 2, place % 2 :: 2] -= np.float32(offset)
+    height, width = level.shape
+    level *= field.gain((height, width))
+    return dataclasses.replace(read, level=level).upright(mosaic.orientation)

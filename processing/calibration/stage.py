@@ -91,7 +91,7 @@ def calibrate(
         rig = next(pose for kind in BALLS for pose in balls[kind]).session.rig
         raw = {name: fit.correction for name, fit in fits.items()}
         shots = {
-            kind: [ball_shots(pose.session, raw, pose.patterns) for pose in balls[kind]]
+            kind: [ball_shots(pose.session, raw, pose.patterns, flats) for pose in balls[kind]]
             for kind in BALLS
         }
         measured = fit_lights(rig, shots["mirror"], shots["grey"], config.lights, progress)

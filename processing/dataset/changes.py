@@ -17,7 +17,14 @@ import zarr
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import LightstageError, one_error
 from lightstage.formats.consents import require_consents
-from lightstage.formats.files import atomic_folder, fsync_path, read_json, sha256_file, write_json
+from lightstage.formats.files import (
+    atomic_folder,
+    fsync_path,
+    read_json,
+    require_replaceable,
+    sha256_file,
+    write_json,
+)
 from lightstage.formats.lock import locked
 from processing.dataset.arrays import written_whole
 from processing.dataset.contents import (
@@ -34,7 +41,8 @@ from processing.dataset.store import CHUNK, DATASET, SCANS, SHARD, STORE, open_s
 
 LOCK = "store.lock"
 LOCK_S = 60.0
-"""Whoever changes dataset.json holds the lock for milliseconds."""
+"""Whoever changes dataset.json holds the lock for milliseconds; who builds the store anew, for all
+the time that this takes."""
 SHARDS, SHARDS_SCHEMA = "shards.json", "lightstage.shards/1"
 BESIDE = ".adding-"
 """Begins the name of a scan that is being written, in `scans`."""
@@ -55,7 +63,8 @@ def build_store(
     Args:
         processed: folders with atlas/, head_from_world.json and report.json (subject, expression,
             and the id of the record of the person's consent where there is one).
-        out: the store's folder; an older store there is replaced.
+        out: the store's folder; an older store there is replaced, and no other process can change
+            it meanwhile.
         progress: called after each folder.
         consents: the lab's registry, where there is one: everybody must have agreed to research.
 
@@ -66,7 +75,8 @@ def build_store(
         ConfigError: people who did not agree to research, before any map is read.
         FormatError, DatasetError: no folder, something that is no processed folder, a missing map,
             maps or atlases of different size, NaN, a missing or not rigid head_from_world, a folder
-            given twice, a scan of the same files, a pseudonym of two people; all in one message.
+            given twice, a scan of the same files, a pseudonym of two people, all in one message; an
+            older store that another process is changing.
     """
     if not processed:
         raise DatasetError(
@@ -79,7 +89,12 @@ def build_store(
     problems: list[LightstageError] = []
     entries: list[Entry] = []
     known: dict[str, ScanEntry] = {}
-    with atomic_folder(out, DATASET, STORE) as beside:
+    require_replaceable(out, DATASET, STORE)
+    with contextlib.ExitStack() as stack:
+        if (out / DATASET).is_file():
+            # A scan that is added or removed meanwhile would be lost, or be back, with the new one.
+            stack.enter_context(_changing(out))
+        beside = stack.enter_context(atomic_folder(out, DATASET, STORE))
         for index, root in enumerate(processed):
             try:
                 if root.resolve() in {p.resolve() for p in processed[:index]}:
@@ -143,7 +158,7 @@ def add_scan(store: Path, root: Path, consents: Path | None = None) -> str:
     beside = store / SCANS / f"{BESIDE}{secrets.token_hex(4)}"
     try:
         made = _written(store, entry, maps, beside.name)
-        made = dataclasses.replace(made, folder=folder_of(entry))
+        made = dataclasses.replace(made, folder=_folder_of(entry))
         # On the disk before the list names them.
         for path in beside.rglob("*"):
             fsync_path(path)
@@ -231,11 +246,15 @@ def verify_store(store: Path, progress: ProgressCallback = quiet) -> tuple[int, 
     return files, sorted(p.name for p in (store / SCANS).iterdir() if p.name not in own)
 
 
-def folder_of(entry: ScanEntry) -> str:
+def folder_of(subject: str, expression: str, sha256: str) -> str:
     """A scan's name in a store: it shows nothing of the person, and is the same in every store."""
     # Two people's scans of the same files are two scans.
-    key = "\0".join((entry.subject, entry.expression, entry.sha256))
+    key = "\0".join((subject, expression, sha256))
     return hashlib.sha256(key.encode()).hexdigest()[:FOLDER_DIGITS]
+
+
+def _folder_of(entry: ScanEntry) -> str:
+    return folder_of(entry.subject, entry.expression, entry.sha256)
 
 
 def _named(store: Path, entries: Sequence[Entry]) -> dict[str, ScanEntry]:
@@ -266,7 +285,7 @@ def _written(
     store: Path, entry: ScanEntry, maps: dict[str, np.ndarray], name: str | None = None
 ) -> Entry:
     """Write a scan's arrays and the hashes of their files."""
-    folder = store / SCANS / (name or folder_of(entry))
+    folder = store / SCANS / (name or _folder_of(entry))
     for each, image in maps.items():
         _write_map(folder / each, each, image)
     files = sorted(path for path in folder.rglob("*") if path.is_file())

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
-import json
 import os
 import re
 import shutil
@@ -24,30 +23,27 @@ from lightstage.formats.files import read_json, sha256_file, write_json
 from lightstage.formats.lock import locked
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.values import read_lines
-from processing.dataset.changes import BESIDE, remove_scans
+from processing.dataset.changes import BESIDE, folder_of, remove_scans
 from processing.dataset.contents import RELEASES, now_utc, scans_of_fingerprint
 from processing.dataset.links import require_no_links_out
+from processing.dataset.named import names_subject
 from processing.dataset.scan import DatasetError, scan_digest
-from processing.dataset.store import DATASET, PUBLISHED, SCANS, STORE
+from processing.dataset.store import DATASET, PUBLISHED, SCANS, STORE, trace_of
 from processing.errors import ProcessingError
 from processing.records import RUN_LOCK
 
 SCHEMA, PROOF_SCHEMA = "lightstage.forget/1", "lightstage.forgotten/1"
-PERSONAL = frozenset(
-    f".{name}"
-    for name in (
-        *("exr", "dng", "nef", "cr2", "cr3", "arw", "raf", "pef", "jpg", "jpeg", "png"),
-        *("tif", "tiff", "ply", "obj"),
-    )
-)
-"""Suffixes of files that show a person: a copy of one elsewhere is the person's too."""
 SHARED = "calibration"
 """A session's folder of what it has in common with other sessions."""
-TEXT = frozenset(
+NOT_SHOWN = frozenset(
     ["", *(f".{n}" for n in ("json", "jsonl", "toml", "txt", "csv", "tsv", "html", "md", "log"))]
 )
-TEXT_BYTES = 1 << 26
+"""Suffixes of files that show nobody; all others do, since cameras name photographs in many ways. A
+copy of one elsewhere is the person's too."""
 LEFT_BESIDE = re.compile(r"\.(?P<stem>.+)\.[0-9a-f]{8}(\..+)?")
+JOURNAL = "journal.jsonl"
+LOCKS = (("session", JOURNAL, "capture"), ("processed folder", RUN_LOCK, "run"))
+"""Kinds of folders, the file that who writes to one holds, and who that is."""
 BATCH_LISTS = ("batch.json", "batch.html")
 KINDS = ("session", "processed folder", "left by a killed process", "list of a batch", "copy")
 
@@ -132,7 +128,8 @@ def survey(
     others: list[Path] = []
     processed: list[Path] = []
     stores: list[Path] = []
-    checkpoints: list[tuple[Path, str]] = []
+    half_built: list[Path] = []
+    checkpoints: list[tuple[Path, Any]] = []
     for path, names in _walked(folders):
         kind = _kind(path, names)
         if kind in ("session", "processed folder"):
@@ -144,21 +141,22 @@ def survey(
         elif kind == STORE:
             stores.append(path)
         elif kind == "checkpoint":
-            fingerprint = _text(read_json(path / "checkpoint.json"), "data_fingerprint")
-            checkpoints.append((path, fingerprint or ""))
-        if BATCH_LISTS[0] in names and _names(path / BATCH_LISTS[0], subject):
+            checkpoints.append((path, read_json(path / "checkpoint.json")))
+        if BATCH_LISTS[0] in names and names_subject(path / BATCH_LISTS[0], subject):
             for name in BATCH_LISTS:
                 if (path / name).exists():
                     found.add("list of a batch", path / name)
         if kind is None:
             others += [path / name for name in names]
+            if LEFT_BESIDE.fullmatch(path.name) and (path / SCANS).is_dir():
+                half_built.append(path)
     own = [Path(p) for kind in KINDS[:2] for p in found.removed.get(kind, [])]
     for path in own:
         for beside in path.parent.glob(".*"):
             match = LEFT_BESIDE.fullmatch(beside.name)
             if match and match["stem"] == path.name:
                 found.add("left by a killed process", beside)
-    _of_stores(subject, stores, own, found)
+    _of_stores(subject, stores, half_built, own, found)
     _holders(stores, checkpoints, found)
     _hash_own(own, others, found, hashed, progress)
     _leave_common(processed, found)
@@ -184,7 +182,7 @@ def _walked(folders: Sequence[Path]) -> Iterator[tuple[Path, list[str]]]:
 
 def _kind(path: Path, names: Sequence[str]) -> str | None:
     """What a folder is by the files in it; None for what is none of ours."""
-    if "session.json" in names or "journal.jsonl" in names:
+    if "session.json" in names or JOURNAL in names:
         return "session"
     if DATASET in names:
         kind = _text(read_json(path / DATASET), "kind")
@@ -198,8 +196,8 @@ def _subject(path: Path, names: Sequence[str]) -> str | None:
     """Whose session or processed folder it is; None where it does not state it."""
     if "session.json" in names:
         return _text(read_json(path / "session.json"), "subject")
-    if "journal.jsonl" in names:
-        lines = read_lines(path / "journal.jsonl")
+    if JOURNAL in names:
+        lines = read_lines(path / JOURNAL)
         return next((_text(line, "subject") for line in lines if _text(line, "subject")), None)
     subject = None
     if "stages.json" in names:
@@ -222,26 +220,46 @@ def _text(value: Any, key: str) -> str | None:
     return text if isinstance(text, str) else None
 
 
-def _of_stores(subject: str, stores: list[Path], own: list[Path], found: Found) -> None:
-    digests = set()
+def _of_stores(
+    subject: str, stores: list[Path], half_built: list[Path], own: list[Path], found: Found
+) -> None:
+    scans = [(_expression(path), _scan_sha256(path)) for path in own]
+    listed: dict[Path, set[str]] = {}
     for store in stores:
-        scans = read_json(store / DATASET).get("scans", [])
-        theirs = [scan for scan in scans if _text(scan, "subject") == subject]
-        digests |= {str(scan.get("sha256")) for scan in theirs}
-        if theirs and len(theirs) == len(scans):
+        entries = read_json(store / DATASET).get("scans", [])
+        theirs = [entry for entry in entries if _text(entry, "subject") == subject]
+        scans += [(_text(entry, "expression"), _text(entry, "sha256")) for entry in theirs]
+        if theirs and len(theirs) == len(entries):
             found.whole.append(str(store))
         elif theirs:
-            found.scans[str(store)] = [str(scan.get("folder", "")) for scan in theirs]
-        if theirs:
-            for path in sorted((store / SCANS).glob(f"{BESIDE}*")):
-                found.add("left by a killed process", path)
-    for path in own:
-        with contextlib.suppress(OSError):  # of a folder without an atlas no scan was made
-            digests.add(scan_digest(ProcessedFolder(path)))
-    found.scan_sha256 = sorted(digests)
+            found.scans[str(store)] = [str(entry.get("folder", "")) for entry in theirs]
+        listed[store] = {str(entry.get("folder", "")) for entry in entries}
+    found.scan_sha256 = sorted({digest for _, digest in scans if digest})
+    # A scan has the same name in every store. One that was being written has none yet.
+    names = {folder_of(subject, kind or "", digest) for kind, digest in scans if digest}
+    for path in (path for store in stores for path in sorted((store / SCANS).glob("*"))):
+        unlisted = path.name in names - listed[path.parents[1]]
+        if unlisted or (names and path.name.startswith(BESIDE)):
+            found.add("left by a killed process", path)
+    for folder in half_built:
+        if any(path.name in names for path in (folder / SCANS).iterdir()):
+            found.add("left by a killed process", folder)
 
 
-def _holders(stores: list[Path], checkpoints: list[tuple[Path, str]], found: Found) -> None:
+def _scan_sha256(processed: Path) -> str | None:
+    """SHA-256 of the scan that a store has of a folder; None where it has no atlas."""
+    try:
+        return scan_digest(ProcessedFolder(processed))
+    except OSError:
+        return None
+
+
+def _expression(processed: Path) -> str | None:
+    path = processed / "report.json"
+    return _text(read_json(path), "expression") if path.is_file() else None
+
+
+def _holders(stores: list[Path], checkpoints: list[tuple[Path, Any]], found: Found) -> None:
     """Releases and checkpoints that held the person, by the stores' records."""
     theirs = set(found.scan_sha256)
     held: set[str] = set()
@@ -255,9 +273,14 @@ def _holders(stores: list[Path], checkpoints: list[tuple[Path, str]], found: Fou
         for line in read_lines(store / RELEASES) if (store / RELEASES).is_file() else []:
             if isinstance(line, dict) and theirs & set(line.get("scans", [])):
                 found.published.append({k: v for k, v in line.items() if k != "scans"})
-    found.checkpoints = sorted(
-        str(path) for path, fingerprint in checkpoints if fingerprint in held
-    )
+    traces = theirs | {trace_of(digest) for digest in theirs}
+    for path, value in checkpoints:
+        # Also of a run that began with another's weights, in a store without the person.
+        known = value.get("trained_on") if isinstance(value, dict) else None
+        trained = isinstance(known, list) and traces & set(map(str, known))
+        if trained or _text(value, "data_fingerprint") in held:
+            found.checkpoints.append(str(path))
+    found.checkpoints.sort()
 
 
 def _hash_own(
@@ -291,7 +314,7 @@ def _copies(others: list[Path], found: Found) -> None:
     gone = {Path(p) for paths in found.removed.values() for p in paths}
     sizes = set(found.hashes.values())
     for path in others:
-        if path.suffix.lower() not in PERSONAL or gone & {path, *path.parents}:
+        if path.suffix.lower() in NOT_SHOWN or gone & {path, *path.parents}:
             continue
         if path.is_file() and path.stat().st_size in sizes and sha256_file(path) in found.hashes:
             found.add("copy", path)
@@ -302,7 +325,7 @@ def personal_files(folder: Path) -> list[Path]:
     return sorted(
         path
         for path in folder.rglob("*")
-        if path.suffix.lower() in PERSONAL
+        if path.suffix.lower() not in NOT_SHOWN
         and path.is_file()
         and SHARED not in path.relative_to(folder).parts
     )
@@ -388,16 +411,19 @@ def _remove(found: Found, progress: ProgressCallback) -> None:
     total = len(paths) + len(found.scans)
     done = 0
     with contextlib.ExitStack() as stack:
-        # All locks before the first file goes: a run that works on one of them is not disturbed.
-        for path in map(Path, found.removed.get("processed folder", [])):
-            if path.is_dir():
+        # All locks before the first file goes: who works on one of the folders is not disturbed.
+        for kind, lock, who in LOCKS:
+            for path in map(Path, found.removed.get(kind, [])):
+                # A session that was imported has no journal.
+                if not path.is_dir() or (kind == "session" and not (path / lock).is_file()):
+                    continue
                 busy = ProcessingError(
                     path,
-                    found="a folder that a run is writing to",
+                    found=f"a folder that a {who} is writing to",
                     expected="one that is at rest",
-                    hint="Wait until that run has ended, and call this again.",
+                    hint=f"Wait until that {who} has ended, and call this again.",
                 )
-                stack.enter_context(locked(path / RUN_LOCK, busy))
+                stack.enter_context(locked(path / lock, busy))
         for store, names in found.scans.items():
             if names:
                 remove_scans(Path(store), names)
@@ -435,7 +461,7 @@ def what_is_left(
             if path in seen or path == plan.resolve() or path.name.startswith("forgotten-"):
                 continue
             seen.add(path)
-            if _word(subject).search(path.name) or _names(path, subject):
+            if names_subject(path, subject):
                 left["by_pseudonym"].append(str(path))
             if path.is_dir() and (path / "session.json").is_file():
                 recorded |= _recorded(path)
@@ -453,26 +479,6 @@ def _recorded(session: Path) -> dict[Path, str]:
     frames = value.get("frames") if isinstance(value, dict) else None
     named = [(_text(f, "path"), _text(f, "sha256")) for f in frames or []]
     return {session / path: digest for path, digest in named if path and digest}
-
-
-def _word(subject: str) -> re.Pattern[str]:
-    return re.compile(rf"(?<![\w-]){''.join(map(_letter, subject))}(?![\w-])")
-
-
-def _letter(letter: str) -> str:
-    """A pattern of a letter, also as JSON escapes it, ours too, where it is beyond ASCII."""
-    if letter.isascii():
-        return re.escape(letter)
-    return f"(?:{re.escape(letter)}|(?i:{re.escape(json.dumps(letter)[1:-1])}))"
-
-
-def _names(path: Path, subject: str) -> bool:
-    """Whether a text file has a pseudonym."""
-    if path.suffix.lower() not in TEXT or path.is_symlink() or not path.is_file():
-        return False
-    if path.stat().st_size > TEXT_BYTES:
-        return False
-    return bool(_word(subject).search(path.read_text("utf-8", errors="replace")))
 
 
 def found_in_words(found: Found) -> list[str]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import hashlib
 import shlex
 from pathlib import Path
 
@@ -69,6 +70,20 @@ class Scan:
     synthetic: bool = False
     folder: str = ""
     has_sums: bool = False
+
+    @property
+    def trace(self) -> str:
+        """What a checkpoint knows the scan by; empty where it has no `sha256`."""
+        return trace_of(self.sha256) if self.sha256 else ""
+
+
+def trace_of(sha256: str) -> str:
+    """A hash of a scan's SHA-256, for what leaves the lab as weights do.
+
+    The SHA-256 itself must not go with them: it draws the places and the turns of a person's
+    published patches (`places.places_of`).
+    """
+    return hashlib.sha256(f"a network was trained on {sha256}".encode()).hexdigest()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,13 +12,14 @@ from typing import Any
 import pytest
 import torch
 
-from learning.checkpoint import AVERAGE, load_tensors, read_checkpoint
+from learning.checkpoint import AVERAGE, INDEX, load_tensors, read_checkpoint
 from learning.commands import train_command
 from learning.config import TrainingConfig
 from learning.errors import CheckpointError
 from learning.train import TRAINERS, train
 from lightstage.commands import quiet
 from lightstage.errors import ConfigError
+from lightstage.formats.files import write_json
 from lightstage.formats.processed import ProcessedFolder
 from processing.dataset import build_store, open_store
 from tests.learning import (
@@ -63,6 +66,22 @@ def begun(store_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("begun") / "run"
     train(open_store(store_path), out, SHORT)
     return out
+
+
+def test_weights_that_leave_the_lab_do_not_take_along_what_draws_published_patches(
+    begun: Path, store_path: Path, people: list[ProcessedFolder], tmp_path: Path
+) -> None:
+    checkpoint = read_checkpoint(begun)
+    scans = [s for s in open_store(store_path).scans if s.subject not in checkpoint.held_out]
+    assert checkpoint.trained_on == tuple(sorted(scan.trace for scan in scans))
+    assert not any(scan.sha256 in (begun / INDEX).read_text() for scan in scans)
+    # Those of an earlier version had it: their people are known all the same.
+    older = shutil.copytree(begun, tmp_path / "older")
+    value = json.loads((older / INDEX).read_text())
+    write_json(older / INDEX, {**value, "trained_on": [scan.sha256 for scan in scans]})
+    store = open_store(build_store([p.root for p in people[:2]], tmp_path / "store"))
+    with pytest.raises(CheckpointError, match=r"trained on \(person-1\)"):
+        train(store, tmp_path / "run", SHORT, begin_with=older)
 
 
 def test_whole_faces_keep_the_people_that_the_first_run_knew(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
+from unittest.mock import MagicMock
 
 import cv2
 import numpy as np
@@ -130,6 +131,21 @@ def test_vignetting_is_the_simulated_lens_s(found, targets):
         assert np.abs(off).max() < 0.003
         assert np.abs(found.flats[camera.id].black_offset).max() < 5e-6
         assert len(found.flats[camera.id].hot_pixels) == 0
+
+
+def test_lamps_are_measured_from_balls_without_the_lens_s_vignetting(targets, monkeypatch):
+    """An even card in a ball's place shows what is left of the lens."""
+    source = read_source(targets)
+    grey = dataclasses.replace(source.poses["grey"][0], patterns=("grey-00", "flat-00"))
+    poses = {"flat": source.poses["flat"], "grey": [grey]}
+    with monkeypatch.context() as patched:
+        fit = MagicMock()
+        patched.setattr("processing.calibration.stage.fit_lights", fit)
+        calibrate(dataclasses.replace(source, poses=poses), CalibrateConfig())
+    (shots,) = fit.call_args.args[2]
+    card = shots.read("flat-00", "cam0").rgb.mean(axis=2)
+    patches = cv2.resize(card, (4, 6), interpolation=cv2.INTER_AREA)
+    np.testing.assert_allclose(patches / patches.mean(), 1, atol=0.01)
 
 
 def test_colours_may_be_scaled_to_the_grey_ball(targets, found):

@@ -11,10 +11,9 @@ import pytest
 from lightstage.errors import FormatError
 from lightstage.formats.orientation import OF_TIFF
 from lightstage.rig import default_rig
-from processing.calibration.colour.all_cameras import flattened
 from processing.calibration.colour.config import FlatConfig
 from processing.calibration.colour.flats import fit_flat, read_darks
-from processing.calibration.picture import Mosaic
+from processing.calibration.picture import Mosaic, flattened
 from processing.errors import ProcessingError
 from processing.raw.flat_file import FlatField, read_flats, write_flats
 

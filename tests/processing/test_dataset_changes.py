@@ -104,6 +104,28 @@ def test_processes_that_add_at_once_lose_no_scan(people: list[Path], tmp_path: P
     assert verify_store(store)[1] == []
 
 
+def test_a_store_that_is_built_anew_takes_and_loses_no_scan_meanwhile(
+    people: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("processing.dataset.changes.LOCK_S", 0.0)
+    store = build_store(people[:2], tmp_path / "store")
+    refused = []
+
+    def others(done: int, total: int) -> None:
+        del total
+        first = open_store(store).scans[0].folder
+        for change in (lambda: add_scan(store, people[2]), lambda: remove_scans(store, [first])):
+            with pytest.raises(LightstageError, match="another process has been changing") as error:
+                change()
+            refused.append((done, error.value))
+
+    build_store(people[:2], store, others)
+    assert [done for done, _ in refused] == [1, 1, 2, 2]
+    assert len(open_store(store).scans) == 2
+    add_scan(store, people[2])
+    assert verify_store(store)[1] == []
+
+
 def test_what_a_killed_process_left_is_no_scan_and_stops_nothing(
     people: list[Path], tmp_path: Path
 ) -> None:

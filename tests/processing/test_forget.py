@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import shutil
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,8 @@ import pytest
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.files import write_json
 from lightstage.formats.lock import locked
-from processing.dataset import PublishConfig, build_store, forget, open_store
+from processing.dataset import PublishConfig, build_store, forget, open_store, verify_store
+from processing.dataset.named import names_subject
 from processing.records import RUN_LOCK
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball
@@ -133,6 +135,9 @@ def test_a_copy_elsewhere_and_what_killed_processes_left_go_too(
     card.mkdir(parents=True)
     shutil.copy(lab / "S" / "s1" / "frames" / "x+" / "cam0.exr", card / "0001.exr")
     shutil.copy(lab / "S" / "s0" / "frames" / "x+" / "cam0.exr", card / "0002.exr")
+    # Of cameras whose makers name their photographs as few do.
+    (lab / "S" / "s1" / "frames" / "cam0.take1.rw2").write_bytes(b"a photograph")
+    (card / "0003.RW2").write_bytes(b"a photograph")
     half = lab / "P" / ".p1.0123abcd"
     half.mkdir()
     (half / "half.exr").write_bytes(b"half")
@@ -142,6 +147,34 @@ def test_a_copy_elsewhere_and_what_killed_processes_left_go_too(
     assert [p.name for p in card.iterdir()] == ["0002.exr"]
     assert not half.exists()
     assert not (lab / "store" / "scans" / ".adding-01234567").exists()
+
+
+def test_scans_that_killed_processes_left_in_no_list_go_too(lab: Path, tmp_path: Path) -> None:
+    name = next(s.folder for s in open_store(lab / "store").scans if s.subject == WHO)
+    other = build_store([lab / "P" / "p0"], lab / "other store")
+    left = [
+        other / "scans" / name,  # `dataset add`, before the scan was listed
+        other / "scans" / ".adding-01234567",  # earlier
+        lab / ".new store.0123abcd" / "scans" / name,  # `dataset build`
+    ]
+    for folder in left:
+        shutil.copytree(lab / "store" / "scans" / name, folder)
+    forget.forget(WHO, [lab], tmp_path / "office")
+    assert not any(folder.exists() for folder in left)
+    assert not left[2].parents[1].exists()
+    assert [s.subject for s in open_store(other).scans] == ["person-0"]
+    assert verify_store(other)[1] == []
+
+
+@pytest.mark.parametrize("by", ["trace", "sha256"])
+def test_networks_that_began_with_weights_of_the_person_are_listed(lab: Path, by: str) -> None:
+    """Trained on a store without the person, by their scans; those of an earlier version too."""
+    for scan in open_store(lab / "store").scans[:2]:
+        (lab / scan.subject).mkdir()
+        value = {"data_fingerprint": "e" * 64, "trained_on": ["0" * 64, getattr(scan, by)]}
+        write_json(lab / scan.subject / "checkpoint.json", value)
+    found = forget.survey(WHO, [lab], hashed=False)
+    assert found.checkpoints == [str(lab / WHO), str(lab / "run")]
 
 
 def test_what_names_the_person_still_is_reported_and_exits_2(
@@ -154,6 +187,23 @@ def test_what_names_the_person_still_is_reported_and_exits_2(
     assert f"still there: {lab / 'notes.txt'}" in ended.out
     assert "others.txt" not in ended.out
     assert "1 file that still show or name" in ended.err
+
+
+def test_a_pseudonym_is_found_in_texts_of_any_suffix_and_in_tables_of_offices(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "utf-16.csv").write_text(f"pseudonym;name\n{WHO};Ann\n", encoding="utf-16")
+    (tmp_path / "plan.yaml").write_text(f"{WHO}: glasses\n")
+    with zipfile.ZipFile(tmp_path / "table.xlsx", "w", zipfile.ZIP_DEFLATED) as table:
+        table.writestr("xl/sharedStrings.xml", f"<t>{WHO}</t>" * 9)
+    for name in ("utf-16.csv", "plan.yaml", "table.xlsx"):
+        assert names_subject(tmp_path / name, WHO)
+        assert not names_subject(tmp_path / name, "person-2")
+    damaged = tmp_path / "damaged.xlsx"
+    damaged.write_bytes((tmp_path / "table.xlsx").read_bytes()[:40])
+    assert not names_subject(damaged, WHO)
+    (tmp_path / "part").write_bytes(b"\0\0" + WHO.encode())
+    assert not names_subject(tmp_path / "part", WHO)  # an array's bytes
 
 
 @pytest.mark.parametrize("who", ["Żaneta7", "Ωmega-3.b"])
@@ -220,14 +270,19 @@ def test_an_interrupted_call_goes_on(
     assert [p.name[:10] for p in (tmp_path / "office").iterdir()] == ["forgotten-"]
 
 
-def test_a_folder_in_use_stops_it_before_anything_goes(lab: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("lock", "who"), [(f"P/p1/{RUN_LOCK}", "run"), ("S/s1/journal.jsonl", "capture")]
+)
+def test_a_folder_in_use_stops_it_before_anything_goes(
+    lab: Path, tmp_path: Path, lock: str, who: str
+) -> None:
     before = names_in(lab)
     with (
-        locked(lab / "P" / "p1" / RUN_LOCK, LightstageError("held")),
-        pytest.raises(LightstageError, match="a run is writing to"),
+        locked(lab / lock, LightstageError("held")),
+        pytest.raises(LightstageError, match=f"a {who} is writing to"),
     ):
         forget.forget(WHO, [lab], tmp_path / "office")
-    assert names_in(lab) - {"P/p1/run.lock"} == before
+    assert names_in(lab) - {lock} == before
 
 
 def test_somebody_unknown_and_a_folder_that_is_not_there_are_refused(

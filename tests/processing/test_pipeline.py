@@ -160,6 +160,19 @@ def test_a_changed_photograph_reruns_everything(session: Path, tmp_path: Path) -
     assert coarse(session, out) == ["decode", "separate"]
 
 
+def test_of_a_camera_that_is_left_out_nothing_stays(session: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    coarse(session, out)
+    for name, field, key in (("session.json", "frames", "camera"), ("rig.json", "cameras", "id")):
+        value = json.loads((session / name).read_text())
+        value[field] = [each for each in value[field] if each[key] != "cam1"]
+        (session / name).write_text(json.dumps(value))
+    assert coarse(session, out) == ["decode", "separate"]
+    assert ProcessedFolder(out).view_ids() == ["cam0"]
+    assert [path for path in out.rglob("*") if path.stem == "cam1"] == []
+    assert any(path.stem == "cam0" for path in out.rglob("*"))
+
+
 def test_a_dark_frame_is_taken_off_the_others(tmp_path: Path) -> None:
     root = lit_ball.write_session(Ball(), lit_ball.small_rig(1, 0.015), tmp_path / "session")
     value = json.loads((root / "session.json").read_text())

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from importlib import metadata
+from pathlib import Path
 
 import pytest
 
-from processing.records import REPORTED, versions
+from lightstage.formats.population import FILE, POINTS_FILE
+from lightstage.formats.template import default_template_path, load_template, save_template
+from processing.records import REPORTED, hash_template, versions
 
 
 def test_every_library_that_shapes_results_has_its_version() -> None:
@@ -30,3 +33,15 @@ def test_a_library_is_known_by_either_of_its_builds(
 
     monkeypatch.setattr(metadata, "version", version)
     assert versions()["open3d"] == "1.2.3"
+
+
+def test_a_template_s_people_are_no_input_of_the_stages_and_its_mesh_is(tmp_path: Path) -> None:
+    template = tmp_path / "T"
+    save_template(load_template(default_template_path()), template)
+    before = hash_template(template)
+    for name in (FILE, POINTS_FILE):
+        (template / name).write_bytes(b"other people")
+    assert hash_template(template) == before
+    with (template / "mesh.obj").open("a") as mesh:
+        mesh.write("# another\n")
+    assert hash_template(template) != before

@@ -19,7 +19,7 @@ from processing.calibration.colour.fit import ChartSample, ColourFit, fit_colour
 from processing.calibration.colour.grey import ball_albedo
 from processing.calibration.colour.white import white_at
 from processing.calibration.folder import Pose
-from processing.calibration.picture import Mosaic, read_mosaic
+from processing.calibration.picture import Mosaic, flattened, read_mosaic
 from processing.colour import ColourCorrection
 from processing.errors import ProcessingError
 from processing.raw.flat_file import FlatField
@@ -171,20 +171,6 @@ def check_grey(
             for name, each in corrections.items()
         }
     return corrections, facts
-
-
-def flattened(mosaic: Mosaic, field: FlatField | None) -> Mosaic:
-    """A photograph with its black level mended and its vignetting undone."""
-    if field is None:
-        return mosaic
-    read = mosaic.as_read()
-    level = read.level.copy()
-    if field.black_offset is not None:
-        for place, offset in enumerate(field.black_offset):
-            level[place // 2 :: 2, place % 2 :: 2] -= np.float32(offset)
-    height, width = level.shape
-    level *= field.gain((height, width))
-    return dataclasses.replace(read, level=level).upright(mosaic.orientation)
 
 
 def _require_size(path: Path, mosaic: Mosaic, camera: Camera) -> None:
