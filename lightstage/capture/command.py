@@ -180,7 +180,7 @@ def capture_command(
         if whole is not None:
             frames, written = whole
             did = f"{' and '.join(written)} written again; " if written else ""
-            read = f"{counted(frames, 'frame')} read back"
+            read = f"{counted(frames, 'photograph')} read back"
             summary = f"{out}: finished and whole, {read}; {did}nothing is left to do"
             facts = {"session": str(out), "frames": frames, "taken": 0, "written": written}
             finish(summary, facts, as_json)
