@@ -156,6 +156,18 @@ def test_every_command_of_the_readmes_steps_begins_with_a_programs_name() -> Non
     assert {code.split(" ")[0] for code in table_code(table)} <= set(PACKAGES)
 
 
+def test_the_templates_page_names_every_command_of_processing_that_takes_a_template() -> None:
+    text = " ".join((ROOT / "docs" / "template.md").read_text().split())
+    named = re.search(r"((?:`[a-z-]+`(?:, | and )?)+) take the folder as `--template T`", text)
+    assert named is not None
+    listed = help_of("lightstage-processing").split("Commands:")[1]
+    commands_there = re.findall(r"^  ([a-z-]+)  ", listed, re.MULTILINE)
+    taking = {
+        name for name in commands_there if "--template " in help_of("lightstage-processing", name)
+    }
+    assert set(re.findall(r"`([a-z-]+)`", named[1])) == taking
+
+
 @pytest.mark.parametrize("command", sorted({c.split(" --")[0] for c in commands(README)}))
 def test_every_option_that_the_readme_names_is_one_of_its_command(command: str) -> None:
     words = shlex.split(command)
