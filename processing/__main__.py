@@ -372,7 +372,7 @@ def build(
         summary += f", {unasked} without a consent record"
     if passed:
         names = ", ".join(path.name for path in passed)
-        summary += f"; passed over {names} of lightstage-sim dataset"
+        summary += f"; skipped {names} of lightstage-sim dataset"
     finish(f"{out}: {summary}", facts, as_json)
 
 

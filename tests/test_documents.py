@@ -196,7 +196,7 @@ def test_the_commands_and_examples_of_the_datasets_page_run_as_written(
             assert done.code == 0, f"{command}\n{done.err}"
             ran.append(command.split(" ")[2])
             if "build" in command:
-                assert "passed over people.json, people.lock" in done.out
+                assert "skipped people.json, people.lock" in done.out
     assert ran[:2] == ["build", "publish"]
     monkeypatch.chdir(tmp_path)
     examples = blocks(DATASET, "python")
