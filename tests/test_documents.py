@@ -156,6 +156,17 @@ def test_every_command_of_the_readmes_steps_begins_with_a_programs_name() -> Non
     assert {code.split(" ")[0] for code in table_code(table)} <= set(PACKAGES)
 
 
+def test_the_capturing_page_begins_with_commands_that_make_each_folder_before_it_is_read() -> None:
+    first = blocks((ROOT / "docs" / "capture.md").read_text(), "")[0]
+    made: set[str] = set()
+    for command in commands(f"```\n{first}```"):
+        read, _, written = command.partition(" --out ")
+        folders = set(re.findall(r"\b[A-Z]{3,}\b", read)) - {"KIND", "URL"}
+        assert folders <= made, command
+        made |= set(re.findall(r"^[A-Z]{3,}\b", written))
+    assert made == {"LAB", "CALIBRATION", "CAMERAS", "SESSION"}
+
+
 def test_the_templates_page_names_every_command_of_processing_that_takes_a_template() -> None:
     text = " ".join((ROOT / "docs" / "template.md").read_text().split())
     named = re.search(r"((?:`[a-z-]+`(?:, | and )?)+) take the folder as `--template T`", text)
