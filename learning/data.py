@@ -110,13 +110,9 @@ class Region:
     maps: dict[str, Tensor]
     texel_mm: float
 
-    def skin(self, variation: augment.Variation, openness: Tensor, box: Box) -> SkinMaps:
-        """As the renderer takes it, with (1, 1, h, w) ambient occlusion; `box` of the texture."""
+    def skin(self, variation: augment.Variation, openness: Tensor) -> SkinMaps:
+        """As the renderer takes it, with (1, 1, h, w) ambient occlusion."""
         one = torch.ones_like(self.maps["area"])
-        if variation.pattern is not None:
-            # The pattern is the whole face's, of which a patch shows a part.
-            here = sampled(variation.pattern, box, one.shape[-1], "bicubic")
-            variation = dataclasses.replace(variation, pattern=here)
         return SkinMaps(
             # A store's confidence, and with it the area, is 0 wherever no skin is.
             diffuse_albedo=augment.recolour(
@@ -271,8 +267,8 @@ class PatchData:
         box = (row / info.rows, column / info.columns, size / info.rows, size / info.columns)
         everything = (0.0, 0.0, 1.0, 1.0)
         variation = augment.draw(rng, self._variation)
-        skin = region.skin(variation, light.openness(box, size), box)
-        whole_skin = whole.skin(variation, light.openness(everything, size), everything)
+        skin = region.skin(variation, light.openness(box, size))
+        whole_skin = whole.skin(variation, light.openness(everything, size))
         group, sets = light.draw(rng, 1 + self._draws)
         sharpness = float(np.exp(rng.uniform(0, np.log(8))))
         scene, *draws = self._scenes(light, group, sets, box, sharpness, rng)

@@ -143,11 +143,11 @@ def join_scenes(scenes: list[Scene]) -> Scene:
     return Scene(environment, torch.cat(seen))
 
 
-def sampled(image: Tensor, box: Box, size: int, how: str = "bilinear") -> Tensor:
-    """(1, c, rows, columns) in a part of the picture, interpolated: (1, c, size, size)."""
+def sampled(image: Tensor, box: Box, size: int) -> Tensor:
+    """(1, c, rows, columns) in a part of the picture, bilinearly: (1, c, size, size)."""
     top, left, height, width = box
     theta = image.new_tensor(
         [[[width, 0.0, 2 * left + width - 1], [0.0, height, 2 * top + height - 1]]]
     )
     where = functional.affine_grid(theta, [1, 1, size, size], align_corners=False)
-    return functional.grid_sample(image, where, how, padding_mode="border", align_corners=False)
+    return functional.grid_sample(image, where, padding_mode="border", align_corners=False)
