@@ -24,7 +24,7 @@ COMMANDS = {
     ),
     "watch": (
         "lightstage.operator.command",
-        "Follow a capture from another terminal; it does not notice.",
+        "Follow a capture from another terminal, or ask it to pause, retake or stop.",
     ),
     "devices": (
         "lightstage.capture.devices_command",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import typer
 
-from lightstage.commands import JsonFlag, finish, output_file
+from lightstage.commands import JsonFlag, finish, make_app, output_file
 from lightstage.counting import counted
 from lightstage.formats.png import write_png
 from lightstage.rig import load_rig
@@ -18,17 +18,9 @@ from lightstage.rig_picture import draw_rig
 
 def register(app: typer.Typer) -> None:
     """Add the group `rig` to an application."""
-    group = typer.Typer(
-        rich_markup_mode=None,
-        help="The description of the stage: the places of its lamps and cameras.",
-    )
-    group.callback()(_rig)
+    group = make_app("The description of the stage: the places of its lamps and cameras.")
     group.command("check")(check_command)
     app.add_typer(group, name="rig")
-
-
-def _rig() -> None:
-    """The description of the stage: the places of its lamps and cameras."""
 
 
 def check_command(

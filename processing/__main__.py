@@ -52,7 +52,7 @@ OutPath = output_folder("--out", help="Processed folder, made or continued.")
 TemplatePath = typer.Option(
     default_template_path(),
     "--template",
-    help="Template folder; register and atlas read it.",
+    help="Template folder, whose topology and texture a registered head has.",
     show_default="the project's own",
 )
 Overwrite = typer.Option(False, "--overwrite", help="Replace what is there.")
@@ -111,32 +111,41 @@ def run(
 def separate(
     session: Path = SessionPath,
     out: Path = OutPath,
-    template: Path = TemplatePath,
     config: Path | None = ConfigPath,
     force: bool = Force,
     as_json: bool = JsonFlag,
 ) -> None:
     """Coarse far-field maps of every view (decodes first where needed)."""
-    _process(session, out, template, config, None, as_json, only="separate", force=force)
+    _process(session, out, None, config, None, as_json, only="separate", force=force)
 
 
 def _add_stage(stage: str, help_text: str) -> None:
-    """Add the command that runs one stage on what the earlier ones left in OUT."""
+    """Add the command that runs one stage, which reads no template, on what is in OUT."""
 
     @app.command(stage, help=help_text)
     def command(
         session: Path = SessionPath,
         out: Path = OutPath,
-        template: Path = TemplatePath,
         config: Path | None = ConfigPath,
         as_json: bool = JsonFlag,
     ) -> None:
-        _process(session, out, template, config, None, as_json, only=stage)
+        _process(session, out, None, config, None, as_json, only=stage)
 
 
 _add_stage("reconstruct", "The base mesh from the decoded views.")
 _add_stage("refine", "Exact maps of every view, with the mesh's positions and shadows.")
-_add_stage("register", "The template brought onto the base mesh.")
+
+
+@app.command()
+def register(
+    session: Path = SessionPath,
+    out: Path = OutPath,
+    template: Path = TemplatePath,
+    config: Path | None = ConfigPath,
+    as_json: bool = JsonFlag,
+) -> None:
+    """The template brought onto the base mesh."""
+    _process(session, out, template, config, None, as_json, only="register")
 
 
 @app.command()
@@ -155,7 +164,7 @@ def atlas(
 def _process(
     session: Path,
     out: Path,
-    template: Path,
+    template: Path | None,
     config: Path | None,
     atlas_rows: int | None,
     as_json: bool,
@@ -172,7 +181,13 @@ def _process(
     )
     with limited_access(group_of([session])):
         report = pipeline.run(
-            session, out, template, settings, until=until, only=only, bar=progress_bar
+            session,
+            out,
+            template or default_template_path(),
+            settings,
+            until=until,
+            only=only,
+            bar=progress_bar,
         )
     ran = report["ran"]
     for warning in report["warnings"]:
@@ -357,7 +372,7 @@ def build(
         summary += f", {unasked} without a consent record"
     if passed:
         names = ", ".join(path.name for path in passed)
-        summary += f"; passed over {names} of lightstage-sim dataset"
+        summary += f"; skipped {names} of lightstage-sim dataset"
     finish(f"{out}: {summary}", facts, as_json)
 
 

@@ -50,7 +50,7 @@ def session(
         0.1795, min=0.005, max=1.0, help="Share of the rig's pixels a side."
     ),
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
-    direct: bool = typer.Option(False, "--direct", help="Linear EXR frames without devices."),
+    direct: bool = typer.Option(False, "--direct", help="Linear EXR photographs without devices."),
     light: str = typer.Option("fast", help="fast, or reference: bounces and subsurface, slow."),
     flaws: str = typer.Option(
         "ideal", help="What lens, lamps, room and subject do: ideal, lab, bad, or a TOML file."

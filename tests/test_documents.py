@@ -156,6 +156,29 @@ def test_every_command_of_the_readmes_steps_begins_with_a_programs_name() -> Non
     assert {code.split(" ")[0] for code in table_code(table)} <= set(PACKAGES)
 
 
+def test_the_capturing_page_begins_with_commands_that_make_each_folder_before_it_is_read() -> None:
+    first = blocks((ROOT / "docs" / "capture.md").read_text(), "")[0]
+    made: set[str] = set()
+    for command in commands(f"```\n{first}```"):
+        read, _, written = command.partition(" --out ")
+        folders = set(re.findall(r"\b[A-Z]{3,}\b", read)) - {"KIND", "URL"}
+        assert folders <= made, command
+        made |= set(re.findall(r"^[A-Z]{3,}\b", written))
+    assert made == {"LAB", "CALIBRATION", "CAMERAS", "SESSION"}
+
+
+def test_the_templates_page_names_every_command_of_processing_that_takes_a_template() -> None:
+    text = " ".join((ROOT / "docs" / "template.md").read_text().split())
+    named = re.search(r"((?:`[a-z-]+`(?:, | and )?)+) take the folder as `--template T`", text)
+    assert named is not None
+    listed = help_of("lightstage-processing").split("Commands:")[1]
+    commands_there = re.findall(r"^  ([a-z-]+)  ", listed, re.MULTILINE)
+    taking = {
+        name for name in commands_there if "--template " in help_of("lightstage-processing", name)
+    }
+    assert set(re.findall(r"`([a-z-]+)`", named[1])) == taking
+
+
 @pytest.mark.parametrize("command", sorted({c.split(" --")[0] for c in commands(README)}))
 def test_every_option_that_the_readme_names_is_one_of_its_command(command: str) -> None:
     words = shlex.split(command)
@@ -184,7 +207,7 @@ def test_the_commands_and_examples_of_the_datasets_page_run_as_written(
             assert done.code == 0, f"{command}\n{done.err}"
             ran.append(command.split(" ")[2])
             if "build" in command:
-                assert "passed over people.json, people.lock" in done.out
+                assert "skipped people.json, people.lock" in done.out
     assert ran[:2] == ["build", "publish"]
     monkeypatch.chdir(tmp_path)
     examples = blocks(DATASET, "python")

@@ -97,7 +97,7 @@ def calibrate_command(
             raise type(ended)(f"{ended}\n  To resume: {line}") from None
     held = (shots.file.expires - shots.file.created).total_seconds() / 86400
     finish(
-        f"{shots.root}: {counted(report.poses, 'pose')}, {report.again} taken again, "
+        f"{shots.root}: {counted(report.poses, 'pose')}, {report.again} retaken, "
         f"{counted(report.warnings, 'fault')} accepted, holds {duration(held)}; "
         f"what is still missing: {shell_line('lightstage', 'calibrations', str(out))}",
         {

@@ -180,7 +180,7 @@ def capture_command(
         if whole is not None:
             frames, written = whole
             did = f"{' and '.join(written)} written again; " if written else ""
-            read = f"{counted(frames, 'frame')} read back"
+            read = f"{counted(frames, 'photograph')} read back"
             summary = f"{out}: finished and whole, {read}; {did}nothing is left to do"
             facts = {"session": str(out), "frames": frames, "taken": 0, "written": written}
             finish(summary, facts, as_json)
@@ -252,9 +252,9 @@ def take_session(
     accepted = accepted_in_words(report.accepted, report.accepted_findings)
     codes = f" ({', '.join(_warned(order.root))})" if report.warnings else ""
     finish(
-        f"{order.root}: {counted(report.frames, 'frame')}, {report.taken} taken now "
+        f"{order.root}: {counted(report.frames, 'photograph')}, {report.taken} taken now "
         f"in {report.seconds:.1f} s, overhead {report.overhead_s:.2f} s, "
-        f"{report.retakes} taken again, {accepted and accepted + ', '}"
+        f"{report.retakes} retaken, {accepted and accepted + ', '}"
         f"{counted(report.warnings, 'warning')} while it ran{codes}, "
         f"largest trigger skew {1e3 * report.max_skew_s:.2f} ms",
         {

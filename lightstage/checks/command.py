@@ -58,7 +58,7 @@ def check_command(
         _record(session, "", len(shown))
     accepted = accepted_in_words(len(report.accepted), sum(report.accepted.values()))
     finish(
-        f"{session}: {counted(report.frames, 'frame')} whole and unchanged, "
+        f"{session}: {counted(report.frames, 'photograph')} whole and unchanged, "
         f"{counted(report.sums, 'pattern sum')} "
         f"within {100 * report.worst_sum:.2f} %, at most {100 * report.clipped:.2f} % of a "
         "photograph clipped, "

@@ -35,7 +35,27 @@ BAD_INPUT, DEFECT, INTERRUPTED = 2, 1, 130
 or a key."""
 
 
-def make_app(help_text: str, group: type[TyperGroup] = TyperGroup) -> typer.Typer:
+class SummarisedGroup(TyperGroup):
+    """A group of commands whose `--help` lists the whole first sentence of each.
+
+    Typer cuts them to 45 characters, which leaves out what distinguishes a command.
+    """
+
+    def summaries(self, ctx: Any) -> list[tuple[str, str]]:
+        """Names of the commands, in order, and the first sentence of each one's help."""
+        return [
+            (name, command.get_short_help_str(limit=sys.maxsize))
+            for name in self.list_commands(ctx)
+            if (command := self.get_command(ctx, name)) is not None
+        ]
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list; Typer calls this."""
+        with formatter.section("Commands"):
+            formatter.write_dl(self.summaries(ctx))
+
+
+def make_app(help_text: str, group: type[SummarisedGroup] = SummarisedGroup) -> typer.Typer:
     """A Typer application with this project's settings and the option --version.
 
     Args:

@@ -1,6 +1,6 @@
 """A program whose commands are imported when they are called, not when their names are listed.
 
-`lightstage --help` names seven commands; the code behind them takes ten times as long to import.
+`lightstage --help` lists all commands; the code behind them takes ten times as long to import.
 """
 
 from __future__ import annotations
@@ -9,10 +9,11 @@ import importlib
 from typing import Any, ClassVar
 
 import typer
-from typer.core import TyperGroup
+
+from lightstage.commands.app import SummarisedGroup
 
 
-def lazy_group(table: dict[str, tuple[str, str]]) -> type[TyperGroup]:
+def lazy_group(table: dict[str, tuple[str, str]]) -> type[SummarisedGroup]:
     """A group class for `make_app`.
 
     Args:
@@ -20,7 +21,7 @@ def lazy_group(table: dict[str, tuple[str, str]]) -> type[TyperGroup]:
             sentence of its help.
     """
 
-    class Group(TyperGroup):
+    class Group(SummarisedGroup):
         lazy: ClassVar = table
 
         def list_commands(self, ctx: Any) -> list[str]:
@@ -34,10 +35,8 @@ def lazy_group(table: dict[str, tuple[str, str]]) -> type[TyperGroup]:
                 self.commands[cmd_name] = typer.main.get_group(app).commands[cmd_name]
             return super().get_command(ctx, cmd_name)
 
-        def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002  as Typer calls it
-            rows = [(name, summary) for name, (_, summary) in self.lazy.items()]
-            with formatter.section("Commands"):
-                formatter.write_dl(rows)
+        def summaries(self, ctx: Any) -> list[tuple[str, str]]:  # noqa: ARG002  as it is called
+            return [(name, summary) for name, (_, summary) in self.lazy.items()]
 
     return Group
 

@@ -100,7 +100,7 @@ class Session:
         raise FormatError(
             self.root / "session.json",
             field="frames",
-            found=f"no frame of pattern {pattern} by {camera}",
+            found=f"no photograph of pattern {pattern} by {camera}",
             expected="one for each pattern and camera",
             hint="Take that shot again, or import it.",
         )

@@ -56,7 +56,7 @@ def watch_command(
     ),
     as_json: bool = JsonFlag,
 ) -> None:
-    """Follow a capture from another terminal; it does not notice."""
+    """Follow a capture from another terminal, or ask it to pause, retake or stop."""
     if not wait >= 0.0:
         raise ConfigError("--wait", found=str(wait), expected="seconds, 0 or more")
     if session.exists() and not session.is_dir():

@@ -141,7 +141,7 @@ def import_command(
             f"; {counted(len(the_rig.cameras), 'camera')} found from the photographs, approximate: "
             f"{found.facts['residual_px']:.2f} px (mean), {counted(found.facts['points'], 'point')}"
         )
-    finish(f"{out}: {counted(frames, 'frame')} imported{details}", facts, as_json)
+    finish(f"{out}: {counted(frames, 'photograph')} imported{details}", facts, as_json)
 
 
 def _found(

@@ -133,7 +133,9 @@ def _looked(root: Path) -> _Looked | None:
 
 def _unlike(root: Path) -> list[LightstageError]:
     if not (root / SESSION).exists():
-        return [FormatError(root / SESSION, found="no such file", expected="the session's frames")]
+        return [
+            FormatError(root / SESSION, found="no such file", expected="the session's photographs")
+        ]
     try:
         return disagreements(root, load_session(root).file)
     except LightstageError as error:

@@ -10,7 +10,7 @@ from pathlib import Path
 import typer
 
 from lightstage.capture.config import read_config
-from lightstage.commands import JsonFlag, finish, output_file
+from lightstage.commands import JsonFlag, finish, make_app, output_file
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.operator.keys import ESCAPES, key_by_key
@@ -26,16 +26,9 @@ DIGITS = "0123456789"
 
 def register(app: typer.Typer) -> None:
     """Add the group `lights` to an application."""
-    group = typer.Typer(
-        rich_markup_mode=None, help="Light single lamps: which one is on which wire."
-    )
-    group.callback()(_lights)
+    group = make_app("Light single lamps: which one is on which wire.")
     group.command("identify")(identify_command)
     app.add_typer(group, name="lights")
-
-
-def _lights() -> None:
-    """Light single lamps: which one is on which wire."""
 
 
 def identify_command(

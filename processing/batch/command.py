@@ -39,7 +39,7 @@ def batch_command(
     template: Path = typer.Option(
         default_template_path(),
         "--template",
-        help="Template folder; register and atlas read it.",
+        help="Template folder, whose topology and texture a registered head has.",
         show_default="the project's own",
     ),
     config: Path | None = typer.Option(

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.counting import counted
 from lightstage.rig import Camera
 from processing.colmap import pycolmap
 from processing.errors import PoseError
@@ -144,6 +145,23 @@ def drifted(report: PoseReport, config: ReconstructConfig) -> list[str]:
             zip(report.camera_ids, report.residual_px, strict=True)
         )
         if residual > limit and k not in report.off
+    ]
+
+
+def unchecked(report: PoseReport, config: ReconstructConfig) -> list[str]:
+    """One warning of all cameras with too few matches to be held against the rig."""
+    few = [
+        f"{camera} ({counted(count, 'match', 'matches')})"
+        for camera, count, residual in zip(
+            report.camera_ids, report.matches, report.residual_px, strict=True
+        )
+        if np.isnan(residual)
+    ]
+    if not few:
+        return []
+    return [
+        f"not checked whether the rig has the right pose of {', '.join(few)}: that takes "
+        f"{config.min_matches} matches with other cameras, of which larger photographs have more"
     ]
 
 

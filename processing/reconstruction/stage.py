@@ -34,6 +34,7 @@ from processing.reconstruction.poses import (
     in_pixels,
     raise_when_off,
     tone_mapped,
+    unchecked,
 )
 from processing.reconstruction.skin_pixels import skin_alone
 from processing.reconstruction.slants import without_normals
@@ -142,7 +143,7 @@ def reconstruct(
         },
         "pose_matches": dict(zip(poses.camera_ids, poses.matches, strict=True)),
         "pose_tracks": poses.tracks,
-        "warnings": _warnings(session, poses) + drifted(poses, config) + warnings,
+        "warnings": _warnings(session, poses, config) + warnings,
     }
 
 
@@ -358,15 +359,8 @@ def reconstruct_views(
     return Reconstructed(mesh, boundary_loops(mesh), facts, shown, occluders)
 
 
-def _warnings(session: Session, poses: PoseReport) -> list[str]:
+def _warnings(session: Session, poses: PoseReport, config: ReconstructConfig) -> list[str]:
     warnings = approximate_warnings(read_session_cameras(session))
     known = set(session.camera_ids())
     warnings += [f"{c.id} has no photographs" for c in session.rig.cameras if c.id not in known]
-    warnings += [
-        f"the pose of {camera} could not be checked: {counted(count, 'match', 'matches')}"
-        for camera, count, residual in zip(
-            poses.camera_ids, poses.matches, poses.residual_px, strict=True
-        )
-        if np.isnan(residual)
-    ]
-    return warnings
+    return warnings + unchecked(poses, config) + drifted(poses, config)

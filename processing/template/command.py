@@ -314,7 +314,7 @@ def _import(
     passed = facts.get("passed_over", [])
     if passed:
         named = ", ".join(passed[:5]) + (" .." if len(passed) > 5 else "")
-        print(f"warning: passed over {named}: neither identity nor expression", file=sys.stderr)
+        print(f"warning: skipped {named}: neither identity nor expression", file=sys.stderr)
     summary = f"{facts['vertices']} vertices, unit {facts['unit']}"
     if "identity_modes" in facts:
         summary += (

@@ -133,4 +133,4 @@ def test_one_of_something_is_reported_as_one(world, tmp_path, run_command):
     )
     assert ended.out.endswith("1 scan of 1 subject\n")
     ended = run_command("lightstage", "check", world["session"])
-    assert "2 frames whole and unchanged, 0 pattern sums" in ended.out
+    assert "2 photographs whole and unchanged, 0 pattern sums" in ended.out

@@ -11,8 +11,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from lightstage.commands import finish, progress_bar
+from lightstage.commands import finish, make_app, progress_bar
 from lightstage.errors import DeviceError, LightstageError, RigError, one_error
 from lightstage.formats.exr import write_exr
 from tests.programs import run_here
@@ -149,6 +150,18 @@ def test_a_signal_leaves_no_half_written_file(texture, tmp_path, number):
     child.communicate(timeout=20)
     assert child.returncode not in (0, 2)
     assert os.listdir(tmp_path) == ["t.exr"]
+
+
+def test_a_list_of_commands_has_the_whole_first_sentence_of_each():
+    sentence = "Do one thing that takes more than the forty-five characters of Typer's own lists"
+    app, below = make_app("test"), make_app("below")
+    app.add_typer(below, name="below")
+    for group in (app, below):
+        group.command("one", help=f"{sentence}. And another.")(lambda: None)
+    for words in ([], ["below"]):
+        shown = CliRunner().invoke(app, [*words, "--help"]).output
+        assert sentence in " ".join(shown.split())
+        assert "another" not in shown
 
 
 def test_commands_start_without_what_few_of_them_need():

@@ -159,7 +159,7 @@ def test_a_frame_absent_from_the_grid_is_missing(root):
     del value["frames"][4]
     (root / "session.json").write_text(json.dumps(value))
     (missing,) = missing_frames(load_session(root))
-    assert "no frame of pattern x+ by cam1" in str(missing)
+    assert "no photograph of pattern x+ by cam1" in str(missing)
 
 
 def test_a_folder_without_session_or_rig_is_refused(root):

@@ -16,6 +16,7 @@ from processing.reconstruction.poses import (
     drifted,
     raise_when_off,
     tone_mapped,
+    unchecked,
 )
 from tests.processing import textured_ball
 
@@ -173,3 +174,12 @@ def test_a_camera_that_drifted_a_little_is_warned_of_and_nothing_is_moved() -> N
     text = drifted(report, CONFIG)
     assert len(text) == 1
     assert text[0].startswith("the matches of b miss the rig by 1.40 px (median, above 1.20)")
+
+
+def test_cameras_with_too_few_matches_are_named_in_one_warning_with_what_it_takes() -> None:
+    nan = float("nan")
+    report = PoseReport(("a", "b", "c"), (17, 90, 1), (nan, 0.2, nan), 4.0, (), (), 50, 0.3, 60.0)
+    (text,) = unchecked(report, CONFIG)
+    assert "the right pose of a (17 matches), c (1 match): that takes 20 matches" in text
+    alone = dataclasses.replace(report, residual_px=(0.1, 0.2, 0.3))
+    assert unchecked(alone, CONFIG) == []

@@ -84,7 +84,7 @@ def test_every_photograph_is_the_one_that_the_acknowledged_light_gave(stage, tmp
         [sys.executable, "-m", "lightstage", "check", str(out)], capture_output=True, text=True
     )
     assert checked.returncode == 0, checked.stderr
-    assert "21 frames whole and unchanged, 9 pattern sums" in checked.stdout
+    assert "21 photographs whole and unchanged, 9 pattern sums" in checked.stdout
     assert list(out.rglob(".*")) == []
 
 

@@ -303,6 +303,10 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
             browser.press(key)
             browser.wait(f"location.pathname === '{path}' && document.readyState === 'complete'")
             assert browser.js("document.documentElement.scrollWidth") <= 800, path
+            # Nor wider than a telephone: what does not fit moves within its own table.
+            browser.resize(375, 812)
+            assert browser.js("document.documentElement.scrollWidth") <= 375, path
+            browser.resize(800, 1000)
         # A stop while devices are opened is a stop, and no page of its own.
         wait_until(lambda: not site.desk.running(), "an idle stage")
         browser.press("1")

@@ -165,7 +165,7 @@ def test_resume_of_a_finished_session_reports_that_it_is_whole_and_opens_no_devi
     before = {path: path.read_bytes() for path in session.rglob("*") if path.is_file()}
     done = resumed(session)
     assert done.returncode == 0, done.stderr
-    assert "finished and whole, 6 frames read back" in done.stdout
+    assert "finished and whole, 6 photographs read back" in done.stdout
     assert before == {path: path.read_bytes() for path in session.rglob("*") if path.is_file()}
 
 
