@@ -27,8 +27,8 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
 from processing.colour import srgb_from_linear
 
-SIZES = (384, 768, 1536, 3072)
 LARGEST_ROWS = 6144
+SIZES = (384, 768, 1536, 3072, LARGEST_ROWS)
 TRUTH_ROWS = 384
 LIGHT = "hard-oblique"
 STAGES = ("fit", "detail", "export", "page")

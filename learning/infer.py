@@ -52,12 +52,15 @@ class Inferred:
         tiles: how many.
         notes: what a user should know of the texture or the maps, a line each.
         light: found in the texture, in the mesh's axes; None where none was sought.
+        detail_share: (rows, columns) float32, part of the texture's finest detail that was taken
+            for the skin's own, 0..1; None where no light was found.
     """
 
     maps: dict[str, np.ndarray]
     tiles: int
     notes: tuple[str, ...] = ()
     light: LightSet | None = None
+    detail_share: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -115,6 +115,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "occlusion.features": (1, 4096),
     "occlusion.connected": (1, 4096),
     "fit.rows": (192, 12288),
+    "fit.search_rows": (192, 12288),
     "fit.landmark_percent": (0.1, 50),
     "fit.focal_spread": (1e-3, 2),
     "fit.focal_told_spread": (1e-3, 1),

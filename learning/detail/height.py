@@ -21,6 +21,8 @@ heights are within a ten-thousandth of those at 1e-6 by then, in a third of the 
 MOST_ROUNDS = 300
 LEAST_FACING = 0.2
 """Cosine between a fine normal and the mesh's below which the fine one determines no height."""
+BAND_ROWS = 256
+"""Rows whose directions are compared at once: of a large texture all would take gigabytes."""
 SEAM = 10.0
 """Times the median step between neighbours beyond which they are on two sides of a seam."""
 
@@ -67,16 +69,13 @@ def heights_mm(
     Returns:
         (rows, columns) float64 mm, zero outside, and the rounds of the search.
     """
-    finite = np.isfinite(fine_normal).all(axis=2) & np.isfinite(position_mm).all(axis=2)
-    finite &= np.isfinite(base_normal).all(axis=2)
-    known = covered & finite
-    position = np.where(known[..., None], position_mm, 0).astype(float)
-    base = unit(np.where(known[..., None], base_normal, 0).astype(float))
-    fine = unit(np.where(known[..., None], fine_normal, 0).astype(float))
-    facing = (fine * base).sum(axis=2) > LEAST_FACING
-    fine = np.where(facing[..., None], fine, base)
-    across, across_mm, across_known = _rises(position, base, fine, known, 1)
-    down, down_mm, down_known = _rises(position, base, fine, known, 0)
+    known = covered.copy()
+    for vectors in (position_mm, base_normal, fine_normal):
+        known &= np.isfinite(vectors).all(axis=2)
+    across, across_mm, across_known = _rises(position_mm, base_normal, fine_normal, known, 1)
+    down, down_mm, down_known = _rises(position_mm, base_normal, fine_normal, known, 0)
+    # Where the caller has no use for them either, their memory is free for the search.
+    del position_mm, base_normal, fine_normal, vectors
     wide, high = _typical(across_mm, across_known), _typical(down_mm, down_known)
     if not (wide > 0 and high > 0):
         return np.zeros(covered.shape), 0
@@ -121,7 +120,7 @@ def solve(
         moved = _applied(steps, direction)
         length = product / float((direction * moved).sum())
         found += length * direction
-        residual = residual - length * moved
+        residual -= length * moved
         if float(np.sqrt((residual**2).sum())) <= tolerance * size:
             return found * covered, done
         guess = precondition(residual)
@@ -171,23 +170,54 @@ def _transposed(across: np.ndarray, down: np.ndarray, shape: tuple[int, ...]) ->
 
 
 def _rises(
-    position: np.ndarray, base: np.ndarray, fine: np.ndarray, known: np.ndarray, axis: int
+    position_mm: np.ndarray,
+    base_normal: np.ndarray,
+    fine_normal: np.ndarray,
+    known: np.ndarray,
+    axis: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rise to the next texel along an axis, how far it is in mm, and whether it counts."""
-    first, second = (
-        tuple(cut if i == axis else slice(None) for i in range(2))
-        for cut in (slice(None, -1), slice(1, None))
-    )
-    step = position[second] - position[first]
-    length = np.linalg.norm(step, axis=2)
+    rows, columns = (side - (i == axis) for i, side in enumerate(known.shape))
+    rise, length = np.zeros((rows, columns)), np.zeros((rows, columns))
+    for start in range(0, rows, BAND_ROWS):
+        here = slice(start, start + BAND_ROWS)
+        band = slice(start, min(rows, start + BAND_ROWS) + (axis == 0))
+        there = known[band, :, None]
+        position, base, fine = (
+            np.where(there, vectors[band], 0).astype(float)
+            for vectors in (position_mm, base_normal, fine_normal)
+        )
+        rise[here], length[here] = _rises_of(position, unit(base), unit(fine), axis)
+    first, second = _neighbours(axis)
     both = known[first] & known[second]
     typical = float(np.median(length[both])) if both.any() else 0.0
-    both = both & (length > 0) & (length < SEAM * typical)
+    both &= (length > 0) & (length < SEAM * typical)
+    rise[~both] = 0
+    return rise, length, both
+
+
+def _rises_of(
+    position: np.ndarray, base: np.ndarray, fine: np.ndarray, axis: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rises and lengths of all steps along an axis."""
+    facing = (fine * base).sum(axis=2) > LEAST_FACING
+    fine = np.where(facing[..., None], fine, base)
+    first, second = _neighbours(axis)
+    step = position[second] - position[first]
     mesh = unit(base[first] + base[second])
     normal = unit(fine[first] + fine[second])
     facing = np.maximum((normal * mesh).sum(axis=2), LEAST_FACING)
     rise = (mesh * step).sum(axis=2) - (normal * step).sum(axis=2) / facing
-    return np.where(both, rise, 0.0), length, both
+    return rise, np.linalg.norm(step, axis=2)
+
+
+def _neighbours(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """All texels of an image but the last along an axis, and all but the first."""
+    first, second = (
+        tuple(cut if i == axis else slice(None) for i in range(2))
+        for cut in (slice(None, -1), slice(1, None))
+    )
+    return first, second
 
 
 def _typical(length_mm: np.ndarray, known: np.ndarray) -> float:

@@ -11,6 +11,8 @@ class FitConfig:
 
     Attributes:
         rows: of the texture, a multiple of 3 (rows : columns = 3 : 2).
+        search_rows: in which the light and the skin under it are sought, at most. A texture of more
+            rows is enlarged from these, with what the photographs show that is finer.
         landmark_percent: standard deviation of a landmark, of the distance between the eyes'
             outer corners.
         focal_spread: standard deviation of the focal length's logarithm where no file states it.
@@ -47,6 +49,7 @@ class FitConfig:
     """
 
     rows: int = 1536
+    search_rows: int = 3072
     landmark_percent: float = 12.0
     focal_spread: float = 0.35
     focal_told_spread: float = 0.03

@@ -23,6 +23,7 @@ from learning.photo.enlarge import Enlarged, enlarged, texels_a_pixel
 from learning.photo.eye_texels import eye_texels, with_eyes
 from learning.photo.foreground import foreground
 from learning.photo.fringe import Forehead
+from learning.photo.large_texture import Enlarging, Shown, brighter, finest, rows_of_search
 from learning.photo.several import Joined, View, join
 from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape
 from learning.photo.skin_mask import (
@@ -137,9 +138,8 @@ def fit_head(
         else:
             looked.append(found)
         progress(2 + index, steps)
-    texels = [
-        _Texels(each, config.rows, template, shape.model.face, super_resolution) for each in looked
-    ]
+    rows = rows_of_search(config.rows, config.search_rows)
+    texels = [_Texels(each, rows, template, shape.model.face, super_resolution) for each in looked]
     together = _together(looked, texels)
     first, camera = texels[0], shape.cameras[0]
     hidden = first.fringe & (together.source == 0)
@@ -148,6 +148,7 @@ def fit_head(
     # the outline of what one photograph shows: without the texels that others show better, the
     # tone was off.
     network_sees = together.first & first.skin
+    own_eyes = _own_eyes(texels, together.source)
     inferred = first.inferred(
         network,
         together.texture,
@@ -159,7 +160,7 @@ def fit_head(
         own=OwnShares(
             config.marks_share,
             config.detail_share,
-            _own_eyes(texels, together.source),
+            own_eyes,
             hair=first.hair,
             hidden=hidden,
             normals_off=config.normals_off,
@@ -185,8 +186,7 @@ def fit_head(
     confidence = np.where(seen, np.clip(together.facing, 0, 1), 0).astype(np.float32)
     # As the caller numbers them: photographs that show too little are left out.
     numbers = np.array([*(each.index for each in looked), -1], np.int16)
-    progress(steps, steps)
-    return FittedHead(
+    fitted = FittedHead(
         shape,
         texture,
         seen,
@@ -197,6 +197,49 @@ def fit_head(
         misfit,
         looked[0].masked,
         tuple(notes),
+    )
+    if config.rows != rows:
+        # Eyes were filled from where the photograph has them, not from where the mesh has them.
+        known = seen if own_eyes is None else seen & ~own_eyes
+        shown = [
+            Shown(
+                own.shown.rgb_linear,
+                own.shown.camera,
+                each.mesh,
+                known & (together.source == index),
+                1 / own.shown_pixels,
+            )
+            for index, (each, own) in enumerate(zip(looked, texels, strict=True))
+        ]
+        fitted = _with_all_rows(fitted, shown, first, config.rows)
+    progress(steps, steps)
+    return fitted
+
+
+def _with_all_rows(fitted: FittedHead, shown: list[Shown], first: _Texels, rows: int) -> FittedHead:
+    """A head of which light and skin were sought in fewer rows than its texture has."""
+    raster = rasterise(first.mesh, rows, rows * 2 // 3)
+    to_all = Enlarging(first.raster.covered, raster)
+    low, own = (each.normals(first.mesh) for each in (first.raster, raster))
+    maps = {
+        name: to_all.normals(image, low, own) if name.endswith("_normal") else to_all.map(image)
+        for name, image in fitted.inferred.maps.items()
+    }
+    del low, own
+    detail = finest(shown, raster)
+    texture = brighter(to_all.map(fitted.texture), detail)
+    if fitted.inferred.detail_share is not None:
+        detail *= to_all.map(fitted.inferred.detail_share)[..., None]
+        np.minimum(brighter(maps["diffuse_albedo"], detail), 1, out=maps["diffuse_albedo"])
+    del detail
+    seen = (to_all.labels(fitted.seen) > 0) & raster.covered
+    return dataclasses.replace(
+        fitted,
+        texture=texture,
+        seen=seen,
+        source=np.where(seen, to_all.labels(fitted.source), -1).astype(np.int16),
+        confidence=to_all.map(fitted.confidence) * seen,
+        inferred=dataclasses.replace(fitted.inferred, maps=maps),
     )
 
 
@@ -349,7 +392,8 @@ class _Texels:
                 shown.rgb_linear, person, self.mesh, self.raster, face, camera, super_resolution
             )
             shown = shown if larger is None else larger
-        self.enlarged = shown.camera is not camera
+        self.shown, self.enlarged = shown, shown.camera is not camera
+        self.shown_pixels = self.pixels * shown.camera.fx_px / camera.fx_px
         self.unwrapped: Unwrapped = without_slivers(
             unwrap(shown.rgb_linear, self.mesh, self.raster, shown.camera, shown.person),
             features(template, self.raster),

@@ -12,6 +12,9 @@ from lightstage.errors import FormatError
 from lightstage.formats.mesh import Mesh, vertex_normals
 from processing.atlas.raster import rasterise as atlas_raster
 
+BAND_ROWS = 256
+"""Rows that are interpolated at once."""
+
 
 @dataclasses.dataclass(frozen=True)
 class UvRaster:
@@ -35,9 +38,13 @@ class UvRaster:
     def interpolate(self, values: np.ndarray) -> np.ndarray:
         """Per-vertex (n, k) values at texels: (rows, columns, k) float32, zero outside."""
         out = np.zeros((*self.face.shape, values.shape[1]), np.float32)
-        covered = self.covered
-        corners = values[self.triangles[self.face[covered]]]
-        out[covered] = np.einsum("nck,nc->nk", corners, self.barycentric[covered])
+        # The corners of all texels of a large texture would take gigabytes.
+        for start in range(0, len(out), BAND_ROWS):
+            band = slice(start, start + BAND_ROWS)
+            face = self.face[band]
+            here = face >= 0
+            corners = values[self.triangles[face[here]]]
+            out[band][here] = np.einsum("nck,nc->nk", corners, self.barycentric[band][here])
         return out
 
     def normals(self, mesh: Mesh) -> np.ndarray:

@@ -160,7 +160,9 @@ def infer_whole_face(
         "specular_normal": normals[1],
         "confidence": photographed * _trust(error),
     }
-    return Inferred({n: m.astype(np.float32) for n, m in maps.items()}, 1, tuple(notes), light)
+    share = None if refined is None else refined.detail_share
+    maps = {name: image.astype(np.float32) for name, image in maps.items()}
+    return Inferred(maps, 1, tuple(notes), light, share)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -106,6 +106,8 @@ class Refined:
         diffuse_albedo: (rows, columns, 3) linear.
         known: (rows, columns) bool, where the texture shows it; elsewhere it was continued from
             around and from the face's other side.
+        detail_share: (rows, columns) float32, part of the texture's finest detail that was taken
+            for the skin's own, 0..1.
         light: lamps and light from everywhere, in the head frame.
         normals: (rows, columns, 3) unit of the diffuse and of the specular light, head frame; None
             where nothing finer than the shape's was sought.
@@ -114,6 +116,7 @@ class Refined:
 
     diffuse_albedo: np.ndarray
     known: np.ndarray
+    detail_share: np.ndarray
     light: LightSet
     normals: tuple[np.ndarray, np.ndarray] | None = None
     settled: bool = True
@@ -239,7 +242,8 @@ def refine(
         normals = (frame.tilted(tilts[0]), frame.tilted(tilts[1]))
     sides = sides_mirror(network.mean_position_mm[0].permute(1, 2, 0).numpy())
     albedo = _with_marks(low_albedo, unlit, known, raster.covered, sides, own, trust, scalp)
-    return Refined(albedo, known, _light_set(light), normals, settled)
+    detail_share = (own.detail * known * trust).astype(np.float32)
+    return Refined(albedo, known, detail_share, _light_set(light), normals, settled)
 
 
 def _explained(
