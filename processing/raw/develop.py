@@ -7,13 +7,13 @@ import dataclasses
 import cv2
 import numpy as np
 
+from lightstage.formats.flats import FlatField
 from lightstage.formats.half import LARGEST
 from lightstage.formats.orientation import UNTURNED, Orientation
 from processing.colour import ColourCorrection
 from processing.frames.drafts import NOT_A_NUMBER
 from processing.frames.window import Window
 from processing.raw.bayer import CLIP_REACH, REACH, SIDE
-from processing.raw.flat_file import FlatField
 from processing.raw.mosaic import develop_mosaic, development
 from processing.raw.raw_file import RawFile
 

@@ -15,6 +15,7 @@ import processing.decode.files
 from lightstage.errors import FormatError
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import sha256_file
+from lightstage.formats.flats import FlatField, write_flats
 from lightstage.formats.half import LARGEST
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.session import Session, load_session
@@ -26,7 +27,6 @@ from processing.errors import ProcessingError
 from processing.frames.drafts import BLUE, GREEN, NOT_A_NUMBER, RED
 from processing.frames.read import Frames, power_of_two, read_foreground, read_frames
 from processing.frames.window import Window, whole
-from processing.raw.flat_file import FlatField, write_flats
 from processing.raw.region import find_window, mesh_window, preview
 from tests.processing.lit_ball import small_rig
 from tests.processing.made_raw import (
