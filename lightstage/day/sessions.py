@@ -20,6 +20,7 @@ from lightstage.operator.view import View
 from lightstage.operator.words import text_of
 from lightstage.printable import printable, printable_lines
 from lightstage.session.opening import JOURNAL
+from lightstage.session.reading import no_journal
 
 State = Literal["whole", "running", "unfinished", "damaged"]
 Checked = Literal["passed", "failed", "changed since", "not checked"]
@@ -180,9 +181,12 @@ def _ends(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         head = file.readline(LINE.size_bytes + 1)
         file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL_BYTES))
         tail = file.read(TAIL_BYTES)
-    first = parse_json(head.removesuffix(b"\n"), path, LINE)
+    try:
+        first = parse_json(head.removesuffix(b"\n"), path, LINE)
+    except FormatError:
+        first = None
     if not isinstance(first, dict) or first.get("event") != "begin":
-        raise FormatError(path, field="line 1", found="something else", expected="the event begin")
+        raise no_journal(path, head)
     last: Any = {}
     for raw in reversed(tail.split(b"\n")):
         try:
