@@ -310,6 +310,18 @@ def test_linear_pictures_are_windowed_too_and_wild_values_marked(tmp_path: Path)
     np.testing.assert_allclose(frames.image(0), exact, rtol=1e-3, atol=1e-6)
 
 
+def test_photographs_without_numbers_are_not_called_dark(tmp_path: Path) -> None:
+    root = write_raw_session(tmp_path / "session", RIG, photographs(("full",)), COLOUR)
+    value = json.loads((root / "session.json").read_text())
+    for frame in value["frames"]:
+        frame |= {"path": f"frames/{frame['camera']}.exr", "encoding": "linear"}
+        write_exr(root / frame["path"], np.full((*SHAPE, 3), np.nan, np.float32), half=False)
+        frame["sha256"] = sha256_file(root / frame["path"])
+    (root / "session.json").write_text(json.dumps(value))
+    with pytest.raises(ProcessingError, match=r"cam0: found no number .* in 100% of the pixels"):
+        decoded(root, tmp_path / "out")
+
+
 @pytest.mark.parametrize("bright", [65504.0, 1e6, np.inf])
 def test_one_mirrored_lamp_in_a_linear_picture_leaves_the_others_all_their_bits(
     bright: float,
