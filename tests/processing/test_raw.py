@@ -193,7 +193,7 @@ def test_flats_black_offsets_and_hot_pixels_are_undone(tmp_path: Path) -> None:
         float(np.hypot(96, 64) / 2),
         np.array([-0.3, 0.05, 0.0]),
         black_offset=np.array([0.01, 0.0, 0.02, 0.03]),
-        hot_pixels=np.array([[20, 31], [0, 0], [63, 95]]),
+        hot_pixels=np.array([[20, 31], [20, 33], [18, 31], [22, 31], [0, 0], [63, 95]]),
     )
     rgb = np.full((64, 96, 3), 0.4) / field.gain((64, 96))[..., None]
     counts = counts_of(rgb).astype(float)
