@@ -15,9 +15,17 @@ from lightstage.errors import DiskError, DiskFullError, LightstageError, MemoryL
 
 _FULL = {errno.ENOSPC, errno.EDQUOT}
 _FULL_TEXTS = ("no space left on device", "disk quota exceeded")
-_MEMORY_TEXTS = ("can't allocate memory", "not enough memory", "out of memory", "std::bad_alloc")
+_MEMORY_TEXTS = (
+    "can't allocate memory",
+    "not enough memory",
+    "insufficient memory",  # OpenCV
+    "out of memory",
+    "std::bad_alloc",
+)
 _CODECS = ("safetensors", "safetensors_rust", "cv2", "rawpy", "OpenEXR", "zarr", "zlib", "PIL")
 """Modules whose own errors are of a file that they cannot read or write."""
+_OF_FILES = "imgcodecs"
+"""The part of OpenCV that reads and writes files; errors of its others are defects of ours."""
 _MEANINGS = {
     errno.EACCES: ("no permission", "a place that you may read and write"),
     errno.EPERM: ("no permission", "a place that you may read and write"),
@@ -62,8 +70,9 @@ def explain(error: BaseException) -> LightstageError | None:
             hint="Set NUMBA_CACHE_DIR to one.",
         )
     module = type(error).__module__.split(".")[0].lstrip("_")
-    if module in _CODECS:
-        return DiskError(module, found=_one_line(error), expected="a file that it can read")
+    if module in _CODECS and (module != "cv2" or _OF_FILES in str(error)):
+        found = _one_line(error)
+        return DiskError(module, found=found, expected="a file that it can read or write")
     return None
 
 

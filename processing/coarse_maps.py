@@ -27,6 +27,8 @@ SCHEMA = "processing.coarse/1"
 FACTS = "coarse.json"
 BYTES_WRITTEN_PX = 18
 """Of the whole picture, that one map takes while it is written to OUT/views."""
+SCALE_WHITE = "scale linear photographs so that a white under `full` reads 1, or calibrate colours"
+"""What to try where readings are in another unit than white."""
 RUN_SEPARATE = "Run the stage `separate`: lightstage-processing separate SESSION --out OUT."
 
 
@@ -173,7 +175,12 @@ def write_as_views(
 def _narrowed(values: np.ndarray, path: Path) -> np.ndarray:
     half, _ = half_from_float(values)
     if has_infinity(half):
-        raise FormatError(path, found="values above 65504", expected="values that half can hold")
+        raise FormatError(
+            path,
+            found="values above 65504",
+            expected="values that half can hold",
+            hint=f"{SCALE_WHITE[0].upper()}{SCALE_WHITE[1:]}.",
+        )
     _require_finite(half, path)
     return half
 

@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.errors import FormatError
-from lightstage.formats.files import leftovers, read_json, sha256_file, write_json
+from lightstage.formats.files import check_schema, leftovers, read_json, sha256_file, write_json
 from lightstage.formats.population import FILE as POPULATION
 from lightstage.formats.population import POINTS_FILE as POINTS_OF_POPULATION
+from lightstage.formats.processed import TRUTH_SCHEMA
 from processing.errors import ProcessingError
 
 SCHEMA = "processing.stages/1"
@@ -131,6 +132,26 @@ def read_made_from(out: Path) -> MadeFrom | None:
             path, field="made_from", found=repr(value)[:80], expected="session and subject, as text"
         )
     return MadeFrom(session, subject)
+
+
+def read_report(path: Path) -> dict[str, Any]:
+    """report.json, of the stages or of a simulated person's truth.
+
+    Raises:
+        FormatError: no file, no object, or of a newer version or something else.
+    """
+    value = read_json(path)
+    if not isinstance(value, dict):
+        raise FormatError(path, found=type(value).__name__, expected="a JSON object")
+    if "schema" in value:  # earlier truths have none
+        known = REPORT_SCHEMA if of_stages(value) else TRUTH_SCHEMA
+        check_schema(path, value, known)
+    return value
+
+
+def of_stages(report: dict[str, Any]) -> bool:
+    """Whether a report is of stages, not of a simulated person's truth."""
+    return str(report.get("schema")).partition("/")[0] == REPORT_SCHEMA.partition("/")[0]
 
 
 def _reported(out: Path) -> MadeFrom | None:

@@ -14,7 +14,7 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.files import write_json
 from lightstage.formats.landmarks import write_points_mm
 from lightstage.formats.mesh import write_obj, write_ply
-from lightstage.formats.processed import HEAD_SCHEMA, ProcessedFolder
+from lightstage.formats.processed import HEAD_SCHEMA, TRUTH_SCHEMA, ProcessedFolder
 from lightstage.rig import Camera, Rig
 from sim.light.scene import Scene, Surface
 from sim.light.texture import raster_uv, texture_of
@@ -111,6 +111,7 @@ def write_atlas(
     write_json(
         folder.root / "report.json",
         {
+            "schema": TRUTH_SCHEMA,
             "subject": subject.name,
             "expression": subject.expression,
             "source": subject.source,

@@ -15,6 +15,7 @@ from learning.checkpoint import read_checkpoint
 from lightstage.errors import LightstageError
 from lightstage.formats.consents import read_consents
 from lightstage.formats.environment import read_lights
+from lightstage.formats.flats import read_flats
 from lightstage.formats.landmarks import read_points_mm, read_points_px
 from lightstage.formats.lights import read_measured_lights
 from lightstage.formats.processed import MAPS
@@ -25,7 +26,6 @@ from lightstage.rig import load_rig
 from processing.colour import read_colour
 from processing.dataset import open_store
 from processing.dataset.scan import read_head_pose
-from processing.raw.flat_file import read_flats
 from processing.records import read_records
 from tests.documents import ROOT
 

@@ -206,7 +206,7 @@ def a_store(path):
 
 
 def flats_of_processing(path):
-    from processing.raw.flat_file import read_flats
+    from lightstage.formats.flats import read_flats
 
     return read_flats(path, ["cam0", "cam1"])
 

@@ -12,17 +12,18 @@ from lightstage.day.plan import take_folder
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.checked import CHECKED, CHECKED_SCHEMA
 from lightstage.formats.files import read_json, sha256_file
+from lightstage.formats.session import load_session, missing_frames
 from lightstage.formats.values import LINE, open_regular, parse_json
 from lightstage.operator.client import answers
 from lightstage.operator.journal_stream import JournalTail
 from lightstage.operator.view import View
 from lightstage.operator.words import text_of
-from lightstage.printable import printable_lines
+from lightstage.printable import printable, printable_lines
 from lightstage.session.opening import JOURNAL
+from lightstage.session.reading import no_journal
 
 State = Literal["whole", "running", "unfinished", "damaged"]
 Checked = Literal["passed", "failed", "changed since", "not checked"]
-SESSION_SCHEMA = "lightstage.session/1"
 TAIL_BYTES = 1 << 16
 """Bytes that are read from a journal's end, for its last line."""
 MOST_FOLDERS = 10_000
@@ -180,9 +181,12 @@ def _ends(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         head = file.readline(LINE.size_bytes + 1)
         file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL_BYTES))
         tail = file.read(TAIL_BYTES)
-    first = parse_json(head.removesuffix(b"\n"), path, LINE)
+    try:
+        first = parse_json(head.removesuffix(b"\n"), path, LINE)
+    except FormatError:
+        first = None
     if not isinstance(first, dict) or first.get("event") != "begin":
-        raise FormatError(path, field="line 1", found="something else", expected="the event begin")
+        raise no_journal(path, head)
     last: Any = {}
     for raw in reversed(tail.split(b"\n")):
         try:
@@ -194,19 +198,20 @@ def _ends(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _by_session_file(root: Path) -> Seen:
-    value = read_json(root / "session.json", SESSION_SCHEMA)
-    frames, sequence = value.get("frames"), value.get("sequence")
-    count = len(frames) if isinstance(frames, list) else 0
-    wanted = count if isinstance(sequence, list) else 0
+    """A session without a journal: whole where every photograph of the grid is there."""
+    session = load_session(root)
+    file, wanted = session.file, len(session.file.sequence) * len(session.rig.cameras)
+    absent = len(missing_frames(session))
+    consent = (file.model_extra or {}).get("consent")
     return Seen(
         root,
-        text_of(value, "id"),
-        text_of(value, "subject"),
-        text_of(value, "expression"),
-        text_of(value, "created_utc"),
-        text_of(value, "consent") or None,
-        "whole",
-        count,
+        printable(file.id),
+        file.subject,
+        file.expression,
+        printable(file.created_utc),
+        consent if isinstance(consent, str) and consent else None,
+        "unfinished" if absent else "whole",
+        wanted - absent,
         wanted,
     )
 

@@ -61,7 +61,7 @@ class Fields:
     def number(self, key: str) -> float:
         """A finite number."""
         value = self._get(key)
-        if not _is_number(value):
+        if not is_number(value):
             raise self._wrong(key, value, "a finite number")
         return float(value)
 
@@ -70,7 +70,7 @@ class Fields:
         if default and key not in self._value:
             return default
         value = self._get(key)
-        if not isinstance(value, list) or len(value) != count or not all(map(_is_number, value)):
+        if not isinstance(value, list) or len(value) != count or not all(map(is_number, value)):
             raise self._wrong(key, value, f"{count} finite numbers")
         return tuple(float(each) for each in value)
 
@@ -80,7 +80,7 @@ class Fields:
         right = isinstance(value, list) and len(value) == rows
         for row in value if right else ():
             right = right and isinstance(row, list) and len(row) == columns
-            right = right and all(map(_is_number, row))
+            right = right and all(map(is_number, row))
         if not right:
             raise self._wrong(key, value, f"{rows} rows of {columns} finite numbers")
         return [[float(each) for each in row] for row in value]
@@ -108,7 +108,8 @@ def whole_number(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Whether a file's value is a number, not true or false, and of `MOST` at most."""
     return type(value) in (int, float) and -MOST <= value <= MOST
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from lightstage.errors import FormatError
+from lightstage.formats.fields import MOST, is_number
 from lightstage.formats.files import check_schema, read_json, write_json
 from lightstage.rig import Rig
 
@@ -128,10 +129,13 @@ def _array(path: Path, field: str, entries: object, size: int, count: int) -> np
     for index, entry in enumerate(entries):
         if entry is None:
             continue
-        numbers = isinstance(entry, list) and all(isinstance(c, (int, float)) for c in entry)
+        numbers = isinstance(entry, list) and all(map(is_number, entry))
         if not numbers or len(entry) != size:
             raise FormatError(
-                path, field=f"{field}[{index}]", found=repr(entry), expected=f"{size} numbers"
+                path,
+                field=f"{field}[{index}]",
+                found=repr(entry),
+                expected=f"{size} numbers of {MOST:g} at most, or null",
             )
         out[index] = entry
     return out

@@ -14,6 +14,8 @@ from lightstage.formats.png import write_png
 
 HEAD_SCHEMA = "lightstage.head/1"
 """Of head_from_world.json."""
+TRUTH_SCHEMA = "lightstage.truth/1"
+"""Of report.json where the simulator wrote a person's true maps; `processing`'s has its own."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,6 +12,8 @@ from lightstage.formats.cameras import NAME as CAMERAS_NAME
 from lightstage.formats.colour import SCHEMA as COLOUR_SCHEMA
 from lightstage.formats.colour import colour_numbers
 from lightstage.formats.files import check_schema, read_json
+from lightstage.formats.flats import SCHEMA as FLATS_SCHEMA
+from lightstage.formats.flats import each_flat
 from lightstage.formats.lights import read_measured_lights
 from lightstage.formats.paths import check_name, path_inside
 from lightstage.formats.scale import chart_levels
@@ -19,7 +21,6 @@ from lightstage.formats.values import FILE, parse_json, read_regular
 from lightstage.rig import Camera, Rig
 
 COLOUR_PATH = "calibration/colour.json"
-FLATS_SCHEMA = "lightstage.flats/1"
 BORDER_SHARE = 0.02
 """A sensor's sides may differ by so much from the rig's."""
 GAINS_BYTES = 1 << 31
@@ -84,7 +85,7 @@ def _flats(path: Path, rig: Rig) -> dict[str, bytes]:
     """flats.json and the gains of single pixels that it names, by name.
 
     Raises:
-        FormatError: not usable, or of pictures of another size than the rig's.
+        FormatError: not usable by processing, or of pictures of another size than the rig's.
     """
     data = read_regular(path, FILE.size_bytes)
     value = parse_json(data, path)
@@ -107,6 +108,8 @@ def _flats(path: Path, rig: Rig) -> dict[str, bytes]:
                     path, field="per_pixel", found=f"no file {name}", expected="a file beside it"
                 )
             files[name] = read_regular(beside, GAINS_BYTES, "gains of single pixels")
+    for _ in each_flat(value, [camera.id for camera in rig.cameras], path):
+        pass  # It raises what processing would, before anybody is captured.
     return {path.name: data, **files}
 
 

@@ -51,7 +51,7 @@ def read_journal(path: Path) -> list[Line]:
             )
         # Several cut lines in a row are a resume that was killed, and its successor's.
     if not lines or lines[0]["event"] != "begin":
-        raise FormatError(path, field="line 1", found="something else", expected="the event begin")
+        raise no_journal(path, data)
     check_schema(path, lines[0], SCHEMA)
     if lines[0]["schema"] == FIRST_SCHEMA:
         lines = _upgraded(lines)
@@ -65,6 +65,19 @@ def read_journal(path: Path) -> list[Line]:
             )
     check_lines(lines, path)
     return lines
+
+
+def no_journal(path: Path, data: bytes) -> FormatError:
+    """The error of a file that does not begin as a journal does; `data` is its first bytes."""
+    text = data.split(b"\n", 1)[0][:40].decode(errors="replace").strip()
+    return FormatError(
+        path,
+        field="line 1",
+        found=repr(text) if text else "nothing",
+        expected="the event begin of a capture's journal",
+        hint="Restore the journal from a copy, or move another program's file out of the session's "
+        "folder.",
+    )
 
 
 def _parse(text: bytes) -> Line | None:

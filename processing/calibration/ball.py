@@ -14,13 +14,13 @@ from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr
+from lightstage.formats.flats import FlatField
 from lightstage.formats.session import Session
 from lightstage.nearest_point import nearest_equations
 from lightstage.rig import Camera
 from processing.calibration.picture import flattened, read_mosaic
 from processing.colour import ColourCorrection
 from processing.errors import ProcessingError
-from processing.raw.flat_file import FlatField
 
 EDGE_POINTS = 400
 """Number of points on a ball's outline in each camera."""

@@ -16,6 +16,7 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
 from lightstage.formats.colour import SCHEMA as COLOUR_SCHEMA
 from lightstage.formats.files import atomic_folder, write_json
+from lightstage.formats.flats import write_flats
 from lightstage.formats.lights import write_measured_lights
 from lightstage.formats.png import write_png
 from processing.calibration.colour.chart import COLUMNS, ROWS
@@ -25,7 +26,6 @@ from processing.calibration.config import CalibrateConfig
 from processing.calibration.folder import RESULT, Source
 from processing.calibration.stage import Calibration, calibrate
 from processing.colour import ColourCorrection, srgb_from_linear
-from processing.raw.flat_file import write_flats
 from processing.records import versions
 
 SIDE, GAP = 96, 8

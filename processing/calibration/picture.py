@@ -11,10 +11,10 @@ import rawpy
 
 from lightstage.errors import FormatError
 from lightstage.exif import read_exif
+from lightstage.formats.flats import FlatField
 from lightstage.formats.orientation import UNTURNED, Orientation, of_libraw
 from lightstage.raw_errors import unreadable_raw
 from processing.raw.clip import CLIP_SHARE
-from processing.raw.flat_file import FlatField
 
 
 @dataclasses.dataclass(frozen=True)

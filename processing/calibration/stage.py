@@ -10,6 +10,7 @@ import numpy as np
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import LightstageError, one_error
 from lightstage.formats.environment import LightSet, stage_lights
+from lightstage.formats.flats import FlatField
 from lightstage.formats.lights import MeasuredLights
 from lightstage.rig import Rig
 from processing.calibration.ball import ball_shots
@@ -30,7 +31,6 @@ from processing.calibration.lights.fit import fit_lights
 from processing.calibration.picture import read_mosaic
 from processing.colour import ColourCorrection
 from processing.errors import ProcessingError
-from processing.raw.flat_file import FlatField
 
 BALLS = ("mirror", "grey")
 GREY_WARNED = 0.03

@@ -17,7 +17,7 @@ from lightstage.formats.names import require_pseudonym
 from lightstage.formats.people import is_people_file
 from lightstage.formats.processed import HEAD_SCHEMA, ProcessedFolder
 from processing.errors import ProcessingError
-from processing.records import REPORT_SCHEMA, MadeFrom, read_made_from, read_records
+from processing.records import MadeFrom, of_stages, read_made_from, read_records, read_report
 
 CHANNELS: dict[str, int] = {
     "diffuse_albedo": 3,
@@ -94,14 +94,12 @@ def read_scan(root: Path) -> tuple[ScanEntry, dict[str, np.ndarray]]:
     Raises:
         FormatError, DatasetError: something else than a processed folder, such as the truth of a
             simulated session, an atlas older than the stages before it, a report of another
-            session than the atlas, a map that is missing, damaged or of another size, no subject,
-            a pose that is not rigid.
+            session than the atlas or of a newer version, a map that is missing, damaged or of
+            another size, no subject, a pose that is not rigid.
     """
     _require_processed(root)
     folder = ProcessedFolder(root)
-    report = read_json(root / "report.json")
-    if not isinstance(report, dict):
-        raise FormatError(root / "report.json", found="a list or value", expected="a JSON object")
+    report = read_report(root / "report.json")
     subject, expression = (
         require_pseudonym(report.get(key), root / "report.json", key)
         for key in ("subject", "expression")
@@ -235,7 +233,7 @@ def _require_current_atlas(root: Path, report: dict[str, Any]) -> None:
     A folder that no stage wrote, such as a simulated person's, has neither a record of the stages
     nor their report.
     """
-    if report.get("schema") != REPORT_SCHEMA and not (root / "stages.json").exists():
+    if not of_stages(report) and not (root / "stages.json").exists():
         return
     session = report.get("session")
     reported = MadeFrom(session if isinstance(session, str) else None, str(report.get("subject")))

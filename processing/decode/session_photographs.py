@@ -13,11 +13,11 @@ import numpy as np
 from lightstage.errors import FormatError
 from lightstage.exif import MOST_STOPS
 from lightstage.formats.exr import read_exr
+from lightstage.formats.flats import FlatField, read_flats
 from lightstage.formats.session import Frame, Session
 from processing.colour import ColourCorrection, read_colour
 from processing.frames.window import Window
 from processing.raw.develop import Settings, develop, store
-from processing.raw.flat_file import FlatField, read_flats
 from processing.raw.raw_file import RawFile, open_raw, read_exposure
 from processing.raw.region import cell_px, preview
 

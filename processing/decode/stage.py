@@ -66,7 +66,7 @@ def decode(
     Raises:
         FormatError: a photograph that cannot be read, has another size than its camera, or an
             exposure that cannot be brought to the others'.
-        ProcessingError: a camera in whose photographs nothing is lit.
+        ProcessingError: a camera in whose photographs nothing is lit, or most is no number.
         FormatError: a camera's photographs that do not add up as their patterns do.
     """
     cameras = session.camera_ids()
@@ -123,6 +123,8 @@ def lit_patterns(session: Session) -> tuple[str, ...]:
 
 WARN_CLIPPED = 0.1
 """Share of the foreground that may be clipped without a warning."""
+MOST_LOST = 0.5
+"""Share of pixels without a number above which these, not darkness, hide the face."""
 CLIPPED_FACE = (
     "of the face is clipped or no number in some photograph, and gets no maps of its own; expose "
     "less, by what `full` shows, which clips first"
@@ -213,12 +215,7 @@ def _decode_window(
             if _reaches_beyond(mask, look.window, limit):
                 raise _WindowTooSmallError
             if not mask.any():
-                raise ProcessingError(
-                    f"camera {job.camera}",
-                    found="photographs in which nothing is lit",
-                    expected="a face",
-                    hint="Are the lights, the exposure and the lens cap as they should be?",
-                )
+                raise _no_face(job.camera, np.asarray(draft.clipped))
             area = int(np.count_nonzero(mask))
             clipped = np.count_nonzero(mask & (np.asarray(draft.clipped) != 0)) / area
     except _WindowTooSmallError:
@@ -235,6 +232,24 @@ def _decode_window(
         window_share=round(look.window.height * look.window.width / pixels, 4),
         kept=kept,
         sums=sums,
+    )
+
+
+def _no_face(camera: str, clipped: np.ndarray) -> ProcessingError:
+    """The error of photographs without a foreground; `clipped` are the marks of `Frames`."""
+    lost = float(np.mean(clipped & NOT_A_NUMBER != 0))
+    if lost > MOST_LOST:
+        return ProcessingError(
+            f"camera {camera}",
+            found=f"no number (NaN or infinity) in {lost:.0%} of the pixels, in some photograph",
+            expected="a face",
+            hint="Write the linear photographs again; `lightstage check SESSION` names them.",
+        )
+    return ProcessingError(
+        f"camera {camera}",
+        found="photographs in which nothing is lit",
+        expected="a face",
+        hint="Are the lights, the exposure and the lens cap as they should be?",
     )
 
 

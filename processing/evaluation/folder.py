@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.errors import FormatError
 from lightstage.formats.files import read_json, write_json
 from lightstage.formats.landmarks import read_points_mm
 from lightstage.formats.mesh import read_obj, read_ply
@@ -24,7 +23,7 @@ from processing.evaluation.texels import atlas_coverage, evaluate_maps, truth_in
 from processing.lighting.interface import ENTERED_SHARE
 from processing.pages import write_processed_report
 from processing.reconstruction.pictures import write_distance
-from processing.records import EVALUATION
+from processing.records import EVALUATION, read_report
 
 SCHEMA = "lightstage.evaluation/1"
 
@@ -196,7 +195,4 @@ def _require_same_person(out: Path, truth: Path) -> None:
 
 def _report(folder: Path) -> dict[str, Any]:
     path = folder / "report.json"
-    value = read_json(path) if path.is_file() else {}
-    if not isinstance(value, dict):
-        raise FormatError(path, found=type(value).__name__, expected="a JSON object")
-    return value
+    return read_report(path) if path.is_file() else {}

@@ -9,7 +9,7 @@ import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.session import Session
-from processing.coarse_maps import write_coarse
+from processing.coarse_maps import SCALE_WHITE, write_coarse
 from processing.errors import ProcessingError
 from processing.frames.read import read_foreground, read_frames
 from processing.lighting.lights import PatternLights, pattern_lights
@@ -76,8 +76,7 @@ def separate(
         if albedo > 1:
             warnings.append(
                 f"{camera_id}: the median diffuse albedo is {albedo:,.1f}, more than a white's 1, "
-                "so that albedo and gloss are not the skin's; scale linear photographs so that a "
-                "white under `full` reads 1, or calibrate colours"
+                f"so that albedo and gloss are not the skin's; {SCALE_WHITE}"
             )
         pixels += count
         progress(len(confidence), len(cameras))

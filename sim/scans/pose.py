@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lightstage.counting import counted
+from lightstage.formats.fields import MOST, is_number
 from lightstage.formats.files import read_json
 from lightstage.formats.mesh import Mesh
 from sim.errors import SimError
@@ -61,10 +62,13 @@ def read_landmarks(path: Path) -> tuple[np.ndarray, bool]:
     for index, entry in enumerate(entries):
         if entry is None:
             continue
-        numbers = isinstance(entry, list) and all(isinstance(c, (int, float)) for c in entry)
-        if not numbers or len(entry) != 3 or not np.isfinite(entry).all():
+        numbers = isinstance(entry, list) and all(map(is_number, entry))
+        if not numbers or len(entry) != 3:
             raise SimError(
-                path, field=f"{field}[{index}]", found=repr(entry), expected="3 numbers or null"
+                path,
+                field=f"{field}[{index}]",
+                found=repr(entry),
+                expected=f"3 numbers of {MOST:g} at most, or null",
             )
         out[index] = entry
     known = int(np.isfinite(out).all(axis=1).sum())

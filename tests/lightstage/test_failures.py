@@ -105,6 +105,12 @@ def test_memory_that_nobody_has_is_reported_as_such():
         assert isinstance(explain(raised.value), MemoryLimitError)
 
 
+def test_memory_that_opencv_lacks_is_no_unreadable_file():
+    with pytest.raises(cv2.error) as raised:
+        cv2.resize(np.zeros((2, 2), np.float32), (2 * 10**7, 2 * 10**7))
+    assert isinstance(explain(raised.value), MemoryLimitError)
+
+
 def test_each_system_error_names_its_file_and_what_to_expect(tmp_path):
     (tmp_path / "file").write_text("x")
     os.symlink(tmp_path / "b", tmp_path / "a")
@@ -146,6 +152,9 @@ def test_errors_of_codecs_are_explained(tmp_path):
 def test_a_defect_is_not_explained_away():
     for error in (ZeroDivisionError(), KeyError("a"), TypeError("b"), RuntimeError("a bug")):
         assert explain(error) is None
+    with pytest.raises(cv2.error) as raised:
+        cv2.GaussianBlur(np.zeros((4, 4), np.float32), (0, 0), 0)
+    assert explain(raised.value) is None
 
 
 def test_a_png_is_read_back_as_it_was_written(tmp_path):

@@ -50,6 +50,8 @@ def test_points_survive_their_files_with_hidden_ones(tmp_path):
             r"points_mm\[67\]: found \[1, 2",
         ),
         ({"scheme": "ibug68", "points_mm": [None] * 67 + [["a", 1, 2]]}, r"points_mm\[67\]"),
+        ({"scheme": "ibug68", "points_mm": [[1, True, 2]] * 68}, r"points_mm\[0\]: found \[1, T"),
+        ({"scheme": "ibug68", "points_mm": [[1, 1e300, 2]] * 68}, r"points_mm\[0\]: found"),
     ],
 )
 def test_other_landmarks_are_refused(tmp_path, value, message):

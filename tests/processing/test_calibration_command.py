@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from lightstage.errors import ConfigError, FormatError
 from lightstage.formats.environment import stage_lights
 from lightstage.formats.files import write_json
+from lightstage.formats.flats import read_flats
 from lightstage.formats.lights import MeasuredLights
 from lightstage.formats.orientation import OF_TIFF
 from lightstage.formats.session import Calibration, Session, load_session, save_session
@@ -34,7 +35,6 @@ from processing.decode.config import DecodeConfig
 from processing.decode.stage import decode
 from processing.errors import ProcessingError
 from processing.frames.read import read_frames
-from processing.raw.flat_file import read_flats
 from sim.camera.flaws import PRESETS
 from sim.camera.optics import make_lens
 from sim.light.lamps import LampConfig, lamps_of

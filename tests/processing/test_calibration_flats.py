@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from lightstage.errors import FormatError
+from lightstage.formats.flats import FlatField, read_flats, write_flats
 from lightstage.formats.orientation import OF_TIFF
 from lightstage.rig import default_rig
 from processing.calibration.colour.config import FlatConfig
 from processing.calibration.colour.flats import fit_flat, read_darks
 from processing.calibration.picture import Mosaic, flattened
 from processing.errors import ProcessingError
-from processing.raw.flat_file import FlatField, read_flats, write_flats
 
 WIDTH, HEIGHT = 480, 320
 CAMERA = dataclasses.replace(

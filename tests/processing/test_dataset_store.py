@@ -140,9 +140,20 @@ def with_a_path_for_a_subject(root: Path) -> None:
     (root / "report.json").write_text(json.dumps({**value, "subject": "../other"}))
 
 
+def with_report_of(schema: str) -> Callable[[Path], None]:
+    def damage(root: Path) -> None:
+        value = json.loads((root / "report.json").read_text())
+        (root / "report.json").write_text(json.dumps({**value, "schema": schema}))
+
+    return damage
+
+
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
+        (with_report_of("lightstage.truth/2"), "schema: .*newer version"),
+        (with_report_of("processing.report/2"), "schema: .*newer version"),
+        (with_report_of("lightstage.rig/1"), r"schema: found 'lightstage\.rig/1'"),
         (with_a_path_for_a_subject, r"subject: found '\.\./other', expected letters"),
         (wrong_size, "different size"),
         (with_nan, "NaN"),

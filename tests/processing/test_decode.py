@@ -15,6 +15,7 @@ import processing.decode.files
 from lightstage.errors import FormatError
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import sha256_file
+from lightstage.formats.flats import FlatField, write_flats
 from lightstage.formats.half import LARGEST
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.session import Session, load_session
@@ -26,7 +27,6 @@ from processing.errors import ProcessingError
 from processing.frames.drafts import BLUE, GREEN, NOT_A_NUMBER, RED
 from processing.frames.read import Frames, power_of_two, read_foreground, read_frames
 from processing.frames.window import Window, whole
-from processing.raw.flat_file import FlatField, write_flats
 from processing.raw.region import find_window, mesh_window, preview
 from tests.processing.lit_ball import small_rig
 from tests.processing.made_raw import (
@@ -308,6 +308,18 @@ def test_linear_pictures_are_windowed_too_and_wild_values_marked(tmp_path: Path)
     assert marked.tolist() == [[120, 80], [121, 82]]
     exact = photographs()["full"]["cam0"]
     np.testing.assert_allclose(frames.image(0), exact, rtol=1e-3, atol=1e-6)
+
+
+def test_photographs_without_numbers_are_not_called_dark(tmp_path: Path) -> None:
+    root = write_raw_session(tmp_path / "session", RIG, photographs(("full",)), COLOUR)
+    value = json.loads((root / "session.json").read_text())
+    for frame in value["frames"]:
+        frame |= {"path": f"frames/{frame['camera']}.exr", "encoding": "linear"}
+        write_exr(root / frame["path"], np.full((*SHAPE, 3), np.nan, np.float32), half=False)
+        frame["sha256"] = sha256_file(root / frame["path"])
+    (root / "session.json").write_text(json.dumps(value))
+    with pytest.raises(ProcessingError, match=r"cam0: found no number .* in 100% of the pixels"):
+        decoded(root, tmp_path / "out")
 
 
 @pytest.mark.parametrize("bright", [65504.0, 1e6, np.inf])

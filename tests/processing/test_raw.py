@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from lightstage.calibrations.picture import read_picture
 from lightstage.checks.photo_measures import measure_photo
 from lightstage.errors import FormatError
+from lightstage.formats.flats import FlatField
 from lightstage.formats.orientation import OF_TIFF
 from lightstage.poses_from_photos.pictures import _read_mosaic
 from lightstage.tiff import Directory
@@ -21,7 +22,6 @@ from processing.colour import ColourCorrection
 from processing.frames.drafts import NOT_A_NUMBER
 from processing.frames.window import Window, whole
 from processing.raw.develop import Settings, develop, lying, store
-from processing.raw.flat_file import FlatField
 from processing.raw.plain_dng import _strips, map_plain_dng
 from processing.raw.raw_file import RawFile, open_raw, read_exposure, unpack_raw
 from processing.raw.region import preview
@@ -193,7 +193,7 @@ def test_flats_black_offsets_and_hot_pixels_are_undone(tmp_path: Path) -> None:
         float(np.hypot(96, 64) / 2),
         np.array([-0.3, 0.05, 0.0]),
         black_offset=np.array([0.01, 0.0, 0.02, 0.03]),
-        hot_pixels=np.array([[20, 31], [0, 0], [63, 95]]),
+        hot_pixels=np.array([[20, 31], [20, 33], [18, 31], [22, 31], [0, 0], [63, 95]]),
     )
     rgb = np.full((64, 96, 3), 0.4) / field.gain((64, 96))[..., None]
     counts = counts_of(rgb).astype(float)

@@ -280,7 +280,7 @@ def test_normals_do_not_depend_on_the_scale_of_light(
 def test_readings_a_million_times_white_are_refused(session: Path, tmp_path: Path) -> None:
     images = photographs() * np.float32(2.0**20)
     out = given_frames(tmp_path, images, np.ones(SIGHT.mask.shape, bool))
-    with pytest.raises(FormatError, match=r"diffuse_albedo.*values above 65504"):
+    with pytest.raises(FormatError, match=r"albedo.*above 65504.*Scale linear photographs"):
         separate(load_session(session), out, SeparateConfig())
 
 

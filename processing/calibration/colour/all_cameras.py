@@ -11,6 +11,7 @@ import numpy as np
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, LightstageError, one_error
 from lightstage.formats.environment import LightSet
+from lightstage.formats.flats import FlatField
 from lightstage.rig import Camera
 from processing.calibration.ball import Picture, half
 from processing.calibration.colour.chart import ChartView, chart_places_mm, find_chart
@@ -22,7 +23,6 @@ from processing.calibration.folder import Pose
 from processing.calibration.picture import Mosaic, flattened, read_mosaic
 from processing.colour import ColourCorrection
 from processing.errors import ProcessingError
-from processing.raw.flat_file import FlatField
 
 
 @dataclasses.dataclass(frozen=True)

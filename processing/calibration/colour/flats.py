@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from lightstage.counting import counted
+from lightstage.formats.flats import FlatField
 from lightstage.rig import Camera
 from processing.calibration.colour.config import FlatConfig
 from processing.calibration.picture import Mosaic
 from processing.errors import ProcessingError
-from processing.raw.flat_file import FlatField
 
 
 def fit_flat(

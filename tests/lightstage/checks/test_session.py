@@ -2,12 +2,14 @@
 
 import hashlib
 import json
+import re
 
 import numpy as np
 import pytest
 
 from lightstage.cameras.camera import CardFile
 from lightstage.checks import check_session
+from lightstage.day import seen_session
 from lightstage.errors import FormatError
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import sha256_file, write_json
@@ -144,6 +146,17 @@ def test_an_interrupted_capture_is_distinguished_from_no_session(session, tmp_pa
         check_session(session)
     with pytest.raises(FormatError, match="found no such folder, expected a session folder"):
         check_session(tmp_path / "none")
+
+
+@pytest.mark.parametrize(
+    ("text", "found"), [("", "nothing"), ("2031-05-06 dear diary", "'2031-05-06 dear diary'")]
+)
+def test_a_journal_that_is_none_of_ours_is_shown_with_what_to_try(session, text, found):
+    (session / "journal.jsonl").write_text(text)
+    said = rf"line 1: found {found}, expected the event begin .*Restore the journal from a copy"
+    with pytest.raises(FormatError, match=said):
+        check_session(session)
+    assert re.search(said, seen_session(session).said)
 
 
 def checked(root):

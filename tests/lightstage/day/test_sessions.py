@@ -12,6 +12,8 @@ from lightstage.day import DayPlan, PlannedSubject, next_open, planned, sessions
 from lightstage.day.sessions import seen_session
 from lightstage.errors import CaptureError, FormatError
 from lightstage.formats.files import sha256_file, write_json
+from lightstage.formats.session import Frame, SessionFile, save_session
+from lightstage.rig import Rig, save_rig
 
 
 def write_journal(
@@ -59,6 +61,32 @@ def test_a_session_of_very_many_levels_is_whole(tmp_path: Path) -> None:
     many = json.dumps(json.loads(begin) | {"levels": {"olat-000": [0.0] * (1 << 20)}})
     (root / "journal.jsonl").write_text(f"{many}\n{rest}")
     assert seen_session(root).state == "whole"
+
+
+def test_a_session_without_a_journal_is_whole_while_its_photographs_are_there(
+    tmp_path: Path, small_rig: Rig
+) -> None:
+    root = tmp_path / "S"
+    save_rig(small_rig, root / "rig.json")
+    frames = []
+    for camera in small_rig.cameras:
+        (root / f"{camera.id}.dng").write_bytes(b"")
+        frames.append(
+            Frame(pattern="full", camera=camera.id, path=f"{camera.id}.dng", sha256="0" * 64,
+                  encoding="raw")
+        )  # fmt: skip
+    about = {"id": "S", "created_utc": "2031", "subject": "P1", "expression": "smile"}
+    save_session(root, SessionFile(**about, consent="C-1", sequence=["full"], frames=frames))
+
+    def seen() -> tuple[str, int, int, str | None]:
+        each = seen_session(root)
+        return each.state, each.kept, each.wanted, each.consent
+
+    assert seen() == ("whole", 3, 3, "C-1")
+    (root / "cam1.dng").unlink()
+    assert seen() == ("unfinished", 2, 3, "C-1")
+    save_session(root, SessionFile(**about, consent="C-1", sequence=["full"], frames=frames[2:]))
+    assert seen() == ("unfinished", 1, 3, "C-1")
 
 
 def test_a_session_whose_capture_answers_runs(tmp_path: Path) -> None:

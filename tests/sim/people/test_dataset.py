@@ -66,7 +66,8 @@ def test_each_scan_is_a_processed_folder_with_all_maps(people):
         assert scored.any()
         np.testing.assert_allclose(np.linalg.norm(normal[scored], axis=-1), 1, atol=2e-3)
         assert folder.head_pose.is_file()
-        assert json.loads((root / "report.json").read_text())["synthetic"] is True
+        report = json.loads((root / "report.json").read_text())
+        assert (report["schema"], report["synthetic"]) == ("lightstage.truth/1", True)
         assert not ((folder.read_atlas("confidence") > 0) & (folder.read_atlas("skin") == 0)).any()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -122,25 +123,34 @@ def write_flats(fields: dict[str, FlatField], path: Path, more: dict[str, Any]) 
 
 
 def read_flats(path: Path, cameras: list[str]) -> dict[str, FlatField]:
-    """Read flats.json.
+    """Read flats.json: the fields of some cameras, by id; arguments and errors as `each_flat`."""
+    return dict(each_flat(read_json(path, SCHEMA), cameras, path))
+
+
+def each_flat(
+    value: Mapping[str, Any], cameras: Sequence[str], path: Path
+) -> Iterator[tuple[str, FlatField]]:
+    """The cameras' fields one after another, since gains of single pixels fill the memory.
 
     Args:
-        path: of the file.
+        value: of the file.
         cameras: ids that are wanted; one that is not in the file is left out.
+        path: of the file, beside which the gains are.
 
     Raises:
-        FormatError: every camera whose entry is unusable, in one message.
+        FormatError: at the end, every camera whose entry is unusable, in one message.
     """
-    entries = read_json(path, SCHEMA).get("cameras")
-    fields: dict[str, FlatField] = {}
+    entries = value.get("cameras")
     bad = []
     for camera in cameras:
         if not isinstance(entries, dict) or camera not in entries:
             continue
         try:
-            fields[camera] = _field(entries[camera], path)
+            field = _field(entries[camera], path)
         except UNUSABLE:
             bad.append(camera)
+            continue
+        yield camera, field
     if bad or not isinstance(entries, dict):
         raise FormatError(
             path,
@@ -150,7 +160,6 @@ def read_flats(path: Path, cameras: list[str]) -> dict[str, FlatField]:
             "and hot_pixels of each camera",
             hint="Make it again: lightstage-processing calibrate.",
         )
-    return fields
 
 
 def _field(entry: dict[str, Any], path: Path) -> FlatField:
