@@ -266,7 +266,7 @@ def _measured(
             expected=f"the shape of the truth's {whole[0]} x {whole[1]}",
             hint="Are both in one template's layout?",
         )
-    captured = (theirs["diffuse_albedo"] > 0).all(axis=2)
+    captured = np.asarray((theirs["diffuse_albedo"] > 0).all(axis=2))
     skin = _resized(captured, size) > 0.5
     for name in ("confidence", "skin"):
         if name in theirs:
@@ -356,11 +356,11 @@ def _relit(
 
 
 def _head(
-    maps: dict[str, np.ndarray], skin: np.ndarray, mesh: Mesh, raster: UvRaster
+    maps: dict[str, np.ndarray], shown: np.ndarray, mesh: Mesh, raster: UvRaster
 ) -> TexturedHead:
-    """Maps on a mesh, at the size of the renderings."""
+    """Maps on a mesh, at the size of the renderings, by means over what is shown."""
     size = raster.covered.shape
-    small = {name: _mean_where(maps[name], skin, size) for name in NEEDED}
+    small = {name: _mean_where(maps[name], shown, size) for name in NEEDED}
     normal = raster.normals(mesh)
     for name in ("diffuse_normal", "specular_normal"):
         missing = np.linalg.norm(small[name], axis=2, keepdims=True) < 0.5
