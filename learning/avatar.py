@@ -16,10 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from learning.checkpoint import code_version, shipped_weights
-from learning.detail.command import ABOUT, detail_command
+from learning.detail.command import ABOUT, DISPLACEMENT, EMBOSSED, detail_command
 from learning.detail.config import RELIEF_MM, TIMES
 from learning.errors import MapsError, NoReliefError
+from learning.export.command import PAGE as EXPORT_PAGE
 from learning.export.command import README, export_command, formats_of
+from learning.export.maps import MAPS
+from learning.export.obj import PICTURES
 from learning.export.source import maps_folder
 from learning.photo.avatar_page import write_avatar_page
 from learning.photo.command import FIT, FitRequest, fit_command
@@ -37,6 +40,11 @@ RECORD, PAGE = "avatar.json", "avatar.html"
 """What each stage was made of, by hash; and the page that shows what there is."""
 MARKS = {"fit": FIT, "detail": ABOUT, "export": README}
 """A file that a stage's folder holds."""
+OWN = {
+    "detail": (ABOUT, DISPLACEMENT, EMBOSSED),
+    "export": (README, EXPORT_PAGE, "head.*", MAPS, PICTURES),
+}
+"""What else is in folders that are removed with the head that they were made of."""
 FLAT = "flat "
 """Stands before the hash of a fit in whose normals `detail` found no relief."""
 Bar = Callable[[str], AbstractContextManager[ProgressCallback]]
@@ -84,7 +92,7 @@ def avatar_command(
             expected="a new folder, or one that avatar made, of photographs or of maps as now",
             hint="Choose another --out.",
         )
-    made = _record(out)
+    made, of_export = _record(out)
     source = out / "fit" if maps is None else maps
     fit_key = _hash(_fit_inputs(request) if maps is None else _maps_inputs(maps, request.template))
     keys = {
@@ -95,7 +103,6 @@ def avatar_command(
     if maps is not None and made.get("maps") != fit_key:
         made = {"maps": fit_key}  # what is there was made of another head
     skipped = []
-    notes: list[str] = []
     for stage in stages[: stages.index(until) + 1]:
         if _is_made(stage, made, keys[stage], out):
             skipped.append(stage)
@@ -104,25 +111,36 @@ def avatar_command(
         with bar(f"avatar {stage}") as progress:
             if stage == "fit":
                 fit_command(dataclasses.replace(request, out=out / "fit"), progress)
-                made = {}  # what is there was made of another fit
+                made, of_export = {}, []  # what is there was made of another fit
             elif stage == "detail":
                 key = key if _detailed(source, out, progress) else FLAT + key
             else:
-                notes += _exported(source, request, formats, progress)
+                of_export = _exported(source, request, formats, progress)
         made[stage] = key
-        _keep(out, made)
+        # What was made of another head does not stay beside this one, and the page shows it.
+        for other in OWN.keys() - made.keys():
+            _remove(out / other)
+        (out / PAGE).unlink(missing_ok=True)
+        write_json(out / RECORD, {"schema": SCHEMA, "stages": made, "export_notes": of_export})
     parts = [stage for stage in stages if not made.get(stage, FLAT).startswith(FLAT)]
     if not _is_newer(out / PAGE, out / RECORD):
         with bar("avatar page") as progress:
             write_avatar_page(out / PAGE, parts, maps)
             progress(1, 1)
     facts = read_json(out / "fit" / FIT) if maps is None else _facts_of(maps)
+    notes: list[str] = []
     if made.get("detail", "").startswith(FLAT):
-        notes.insert(
-            0,
+        notes.append(
             f"no detail: the normals of {facts['rows']} rows have no pores and folds, those of "
             "768 rows and more may",
         )
+    if "export" in parts:
+        notes += of_export
+    notes += [
+        f"{out / other} is not of this head; it stays, as it holds what avatar did not make"
+        for other in OWN
+        if other not in parts and (out / other).exists()
+    ]
     return {
         "rows": facts["rows"],
         "columns": facts["columns"],
@@ -173,10 +191,16 @@ def _detailed(source: Path, out: Path, progress: ProgressCallback) -> bool:
     try:
         detail_command(source, None, folder, RELIEF_MM, TIMES, progress)
     except NoReliefError:
-        if (folder / ABOUT).is_file():
-            shutil.rmtree(folder)
+        _remove(folder)
         return False
     return True
+
+
+def _remove(folder: Path) -> None:
+    """Remove a stage's folder if it has the stage's mark and nothing but the stage's files."""
+    stage = folder.name
+    if (folder / MARKS[stage]).is_file() and not others_in(folder, OWN[stage]):
+        shutil.rmtree(folder)
 
 
 def _exported(
@@ -237,13 +261,16 @@ def _hash(values: list[Any]) -> str:
     return hashlib.sha256(json.dumps(values).encode()).hexdigest()
 
 
-def _record(out: Path) -> dict[str, str]:
-    """What the stages that are there were made of; nothing where no record can be read."""
+def _record(out: Path) -> tuple[dict[str, str], list[str]]:
+    """What the stages that are there were made of, and notes of the export that is there.
+
+    Nothing where no record can be read.
+    """
     if not (out / RECORD).exists():
-        return {}
-    stages = read_json(out / RECORD, SCHEMA).get("stages")
-    return {k: v for k, v in stages.items() if k in KEYS} if isinstance(stages, dict) else {}
-
-
-def _keep(out: Path, made: dict[str, str]) -> None:
-    write_json(out / RECORD, {"schema": SCHEMA, "stages": made})
+        return {}, []
+    record = read_json(out / RECORD, SCHEMA)
+    stages, notes = record.get("stages"), record.get("export_notes")
+    return (
+        {k: v for k, v in stages.items() if k in KEYS} if isinstance(stages, dict) else {},
+        [note for note in notes if isinstance(note, str)] if isinstance(notes, list) else [],
+    )

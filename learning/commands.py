@@ -47,7 +47,7 @@ from learning.relight import (
 from learning.render.shading import ShadeOptions
 from learning.resample import resampled_texture
 from learning.run import not_better
-from learning.train import train
+from learning.train import other_rows, train
 from learning.upscale.infer import upscale
 from learning.whole.infer import infer_whole_face
 from lightstage.commands import ProgressCallback
@@ -243,6 +243,7 @@ def train_command(
     resolved = preset(preset_name, overrides, str(config) if config else f"preset {preset_name}")
     store = open_store(data)
     require_consents(consents, "training", store.consents)
+    begun = _run_to_begin_with(begin_with, resolved.family, resume)
     with joined(processes, device), memory_of(device, out, _smaller_batch(resolved.batch)):
         result = train(
             store,
@@ -252,7 +253,7 @@ def train_command(
             progress,
             device,
             processes,
-            begin_with=_run_to_begin_with(begin_with, resolved.family, resume),
+            begin_with=begun,
         )
     return {
         "steps": result.steps,
@@ -267,7 +268,9 @@ def train_command(
         **{f"share_{name}": share for name, share in result.shares.items()},
         "seconds": result.seconds,
         "step_seconds": result.step_seconds,
-        "warnings": list(filter(None, [not_better(result.score)])),
+        "warnings": list(
+            filter(None, [other_rows(begun, resolved, store), not_better(result.score)])
+        ),
     }
 
 

@@ -86,6 +86,25 @@ def weights_of(
     return other
 
 
+def other_rows(begun: Path | None, config: TrainingConfig, store: Store) -> str:
+    """A warning where weights that are begun with know detail of another size; empty elsewhere.
+
+    Args:
+        begun: run whose weights they are, or None.
+        config: of the new run.
+        store: the new run's data.
+    """
+    if begun is None or config.family == WholeTrainConfig.family:
+        return ""  # whole faces have the network's own rows
+    known, shown = read_checkpoint(begun).texture_rows, config.rows_shown(store.scans[0].rows)
+    if known == shown:
+        return ""
+    return (
+        f"the weights of {begun} were trained on maps of {known} rows and these have {shown}, in "
+        "which skin's detail has another size: compare the figures with a run of random weights"
+    )
+
+
 def train(
     store: Store,
     out: Path,

@@ -266,11 +266,12 @@ def _measured(
             expected=f"the shape of the truth's {whole[0]} x {whole[1]}",
             hint="Are both in one template's layout?",
         )
-    theirs = {name: _resized(image, size) for name, image in theirs.items()}
-    skin = theirs["confidence"] > 0.5 if "confidence" in theirs else np.ones(size, bool)
-    if "skin" in theirs:
-        skin &= theirs["skin"] > 0.5
-    skin &= (theirs["diffuse_albedo"] > 0).all(axis=2)
+    captured = np.asarray((theirs["diffuse_albedo"] > 0).all(axis=2))
+    skin = _resized(captured, size) > 0.5
+    for name in ("confidence", "skin"):
+        if name in theirs:
+            skin &= _resized(theirs[name], size) > 0.5
+    theirs = {name: _mean_where(theirs[name], captured, size) for name in NEEDED}
     if not skin.any():
         raise MapsError(
             truth,
@@ -331,7 +332,7 @@ def _relit(
     # Lights are about the middle of the vertices, in the head's axes: the same for every head.
     centre = mesh.vertices.mean(axis=0)
     shown = (_resized(skin.astype(np.float32), size) > 0.5) & raster.covered
-    heads = [_head(maps, mesh, raster, size) for maps in (mine, theirs)]
+    heads = [_head(maps, skin, mesh, raster) for maps in (mine, theirs)]
     figures, faces = {}, None
     for name, lamps in NEW_LIGHTS.items():
         given = np.array(lamps)
@@ -355,10 +356,11 @@ def _relit(
 
 
 def _head(
-    maps: dict[str, np.ndarray], mesh: Mesh, raster: UvRaster, size: tuple[int, int]
+    maps: dict[str, np.ndarray], shown: np.ndarray, mesh: Mesh, raster: UvRaster
 ) -> TexturedHead:
-    """Maps on a mesh, at the size of the renderings."""
-    small = {name: _resized(maps[name], size) for name in NEEDED}
+    """Maps on a mesh, at the size of the renderings, by means over what is shown."""
+    size = raster.covered.shape
+    small = {name: _mean_where(maps[name], shown, size) for name in NEEDED}
     normal = raster.normals(mesh)
     for name in ("diffuse_normal", "specular_normal"):
         missing = np.linalg.norm(small[name], axis=2, keepdims=True) < 0.5
@@ -420,3 +422,22 @@ def _resized(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         return image.astype(np.float32)
     way = cv2.INTER_AREA if image.shape[0] > size[0] else cv2.INTER_LINEAR
     return cv2.resize(image.astype(np.float32), size[::-1], interpolation=way)
+
+
+def _mean_where(image: np.ndarray, where: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """`_resized` by means over some texels alone; over all of them where none of these is near.
+
+    A map holds zeros where nothing was captured, which are no part of the skin beside them.
+
+    Args:
+        image: (rows, columns[, c]).
+        where: (rows, columns) bool.
+        size: new rows and columns.
+    """
+    if image.shape[:2] == size:
+        return image.astype(np.float32)
+    mask = where if image.ndim == 2 else where[..., None]
+    share = _resized(where, size)
+    share = share if image.ndim == 2 else share[..., None]
+    plain, own = _resized(image, size), _resized(image * mask, size)
+    return np.divide(own, share, out=plain, where=share > 0)

@@ -121,7 +121,8 @@ def experiment_command(
     ended: list[str] = []
     if request.prepare:
         return _prepared(left, progress, began)
-    report(left_line(orders, left, request.jobs, config))
+    at_once = request.jobs if request.scheduler is None else None
+    report(left_line(orders, left, at_once, config))
     reported = time.monotonic()
 
     def one_ended(order: Order, figures: dict[str, Any]) -> None:
@@ -131,7 +132,7 @@ def experiment_command(
             progress(len(ended), len(left))
         if time.monotonic() - reported > REPORT_EVERY_S:
             _write(request, orders[0].runs, experiment, config, notes)
-            report(left_line(orders, [o for o in orders if not o.finished], request.jobs, config))
+            report(left_line(orders, [o for o in orders if not o.finished], at_once, config))
             reported = time.monotonic()
 
     if device.type == "cuda" and request.name == "ladder":
@@ -151,8 +152,17 @@ def _failure(errors: list[Exception]) -> Exception:
     return ours[0] if ours else one_error(list(mendable.values()))
 
 
-def left_line(orders: list[Order], left: list[Order], jobs: int, config: ExperimentConfig) -> str:
-    """How many runs are left, and how long they take by those that are finished."""
+def left_line(
+    orders: list[Order], left: list[Order], jobs: int | None, config: ExperimentConfig
+) -> str:
+    """How many runs are left, and how long they take by those that are finished.
+
+    Args:
+        orders: all runs.
+        left: those that are not finished.
+        jobs: runs at once; None where a scheduler has as many as it has workers.
+        config: of the experiment.
+    """
     if not left:
         return f"all {counted(len(orders), 'run')} are finished"
     known: dict[tuple[str, str], list[float]] = {}
@@ -166,8 +176,10 @@ def left_line(orders: list[Order], left: list[Order], jobs: int, config: Experim
     if not sure:
         return f"{count}; how long they take is known once one is finished"
     # Those of which nothing is known yet take as long as the others.
-    seconds = sum(sure) * len(each) / len(sure) / max(1, min(jobs, len(left)))
-    return f"{count}, about {time_words(seconds)}"
+    seconds = sum(sure) * len(each) / len(sure)
+    if jobs is None:
+        return f"{count}, about {time_words(seconds)} of one worker"
+    return f"{count}, about {time_words(seconds / max(1, min(jobs, len(left))))}"
 
 
 def time_words(seconds: float) -> str:
@@ -202,6 +214,11 @@ def _require_request(request: ExperimentRequest) -> None:
     for options, both, hint in (
         ("--report, --prepare", request.report and request.prepare, "--report does nothing else."),
         ("--prepare, --scheduler", request.prepare and elsewhere, f"--prepare {here}"),
+        (
+            "--prepare, --jobs",
+            request.prepare and request.jobs > 1,
+            "It bakes one by one.",
+        ),
         ("--scheduler, --jobs", elsewhere and request.jobs > 1, f"--jobs {here}"),
     ):
         if both:

@@ -27,7 +27,7 @@ class LitPatchesConfig:
         shadow_px: standard deviation of the error of the place of a shadow's edge, texels.
         noise: standard deviation of the noise of a texel, natural logarithm.
         contrast: smallest and largest factor of the detail of a person's albedo: our people's
-            detail is 0.02 of the albedo, a scanned head's 0.06.
+            detail is 0.02 of the albedo, a scanned head's 0.06. People are scored as they are.
         held_out_subjects: number of people, the last ones by name, who are scored and never trained
             on.
         shadow_sets: number of sets of lights of each scan whose shadows are baked.

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from learning.augment import AugmentConfig
 from learning.losses import masked_mean
-from learning.mesostructure.config import MesostructureTrainConfig
+from learning.mesostructure.config import LitPatchesConfig, MesostructureTrainConfig
 from learning.mesostructure.data import LitPatches, PatchPool
 from learning.mesostructure.network import Mesostructure
 from learning.mesostructure.score import MesostructureScore, score_patches
@@ -59,17 +59,19 @@ class MesostructureTrainer(NetworkTrainer[MesostructureTrainConfig, LitPatches, 
 def mesostructure_task(
     trainer: MesostructureTrainer, store: Store, trained_on: set[str], held_out: set[str], _: Run
 ) -> Task[LitPatches, MesostructureScore]:
-    """Random patches; the people held out are scored at the end (see `learning.train.TRAINERS`)."""
+    """Random patches; the people held out, as they are, are scored at the end (see `TRAINERS`)."""
     config = trainer.config
     rng = np.random.default_rng([config.seed, 1])
 
-    def pool_of(people: set[str], textures: int, skins: AugmentConfig) -> PatchPool:
-        how = dataclasses.replace(config.patches, textures=textures)
-        return PatchPool(store, people, how, config.lights, skins, rng, config.shading)
+    def pool_of(people: set[str], patches: LitPatchesConfig, skins: AugmentConfig) -> PatchPool:
+        return PatchPool(store, people, patches, config.lights, skins, rng, config.shading)
 
-    pool = pool_of(trained_on, config.patches.textures, config.augment)
+    pool = pool_of(trained_on, config.patches, config.augment)
     scans = sum(scan.subject in held_out for scan in store.scans)
-    scored = pool_of(held_out, config.score_lights * scans, config.augment.as_they_are())
+    as_they_are = dataclasses.replace(
+        config.patches, textures=config.score_lights * scans, contrast=(1.0, 1.0)
+    )
+    scored = pool_of(held_out, as_they_are, config.augment.as_they_are())
 
     def finish() -> tuple[MesostructureScore, list[Sample]]:
         return score_patches(trainer.trained, scored), []

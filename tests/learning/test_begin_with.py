@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 import torch
 
-from learning.checkpoint import AVERAGE, INDEX, load_tensors, read_checkpoint
+from learning.checkpoint import AVERAGE, INDEX, load_tensors, read_checkpoint, shipped_mesostructure
 from learning.commands import train_command
 from learning.config import TrainingConfig
 from learning.errors import CheckpointError
-from learning.train import TRAINERS, train
+from learning.train import TRAINERS, other_rows, train
 from lightstage.commands import quiet
 from lightstage.errors import ConfigError
 from lightstage.formats.files import write_json
@@ -151,3 +151,14 @@ def test_a_run_that_is_resumed_has_weights_of_its_own(command: Callable[..., Any
 def test_shipped_weights_of_a_family_without_any_are_refused(command: Callable[..., Any]) -> None:
     with pytest.raises(ConfigError, match="shipped, for a network of the family 'patches'"):
         command("demo", "shipped")
+
+
+def test_weights_that_know_detail_of_another_size_are_warned_of(
+    begun: Path, store_path: Path
+) -> None:
+    store = open_store(store_path)
+    known = "trained on maps of 1536 rows and these have 96"
+    assert known in other_rows(shipped_mesostructure(), test_mesostructure.TINY, store)
+    assert other_rows(begun, test_mesostructure.TINY, store) == ""
+    assert other_rows(shipped_mesostructure(), SHORT, store) == ""
+    assert other_rows(None, test_mesostructure.TINY, store) == ""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,9 +17,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.ndimage import gaussian_filter
 
+from learning.augment import AugmentConfig
 from learning.checkpoint import load_mesostructure, load_whole_face, shipped_weights
 from learning.errors import TrainingError
 from learning.maps import load_head
+from learning.mesostructure import train as mesostructure_train
 from learning.mesostructure.config import LitPatchesConfig, MesostructureTrainConfig
 from learning.mesostructure.data import ACROSS, SAID_ACROSS, LitPatches, PatchPool, mirrored
 from learning.mesostructure.evidence import (
@@ -298,6 +302,33 @@ def test_training_brings_the_losses_down_and_leaves_figures(run: Path) -> None:
     assert figures["psnr_db"] > figures["psnr_skin_db"] + 3
     with torch.inference_mode():
         assert network(torch.ones(1, CHANNELS, 8, 8)).shape == (1, SAID_CHANNELS, 8, 8)
+
+
+def test_people_held_out_are_scored_with_their_own_skin(
+    store_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: dict[str, tuple[LitPatchesConfig, AugmentConfig]] = {}
+
+    def noted(
+        _: Any,
+        people: set[str],
+        patches: LitPatchesConfig,
+        __: Any,
+        skins: AugmentConfig,
+        *___: Any,
+    ) -> SimpleNamespace:
+        made[people.pop()] = patches, skins
+        return SimpleNamespace(draw=None, patches=[])
+
+    monkeypatch.setattr(mesostructure_train, "PatchPool", noted)
+    trainer: Any = SimpleNamespace(config=TINY)
+    run: Any = None
+    task = mesostructure_train.mesostructure_task
+    task(trainer, open_store(store_path), {"trained on"}, {"held out"}, run)
+    patches, skins = made["trained on"]
+    assert (patches.contrast, skins) == (TINY.patches.contrast, TINY.augment)
+    patches, skins = made["held out"]
+    assert (patches.contrast, skins) == ((1, 1), TINY.augment.as_they_are())
 
 
 def test_an_interrupted_training_goes_on_to_the_same_bits(bumpy: Path, tmp_path: Path) -> None:

@@ -212,6 +212,27 @@ def test_a_texel_counts_where_more_than_half_of_it_is_skin_of_the_truth(
         assert (figures["relit_key_db"]["mean"] < 40) is is_scored
 
 
+def test_a_truth_that_is_zero_where_nothing_was_captured_darkens_no_texel_beside_it(
+    people: list[ProcessedFolder], tmp_path: Path, evaluate: Callable[..., Ended]
+) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    for path in (people[0].root / "atlas").glob("*.exr"):
+        write_exr(mine / path.name, command._resized(read_exr(path), (48, 32)))
+    truth = ProcessedFolder(shutil.copytree(people[0].root, tmp_path / "truth"))
+    row, column = np.mgrid[:96, :64]
+    # Of the texels of two by two at the left edge three quarters were captured.
+    seen = (column > 16) | ((column == 16) & (row % 2 == 0))
+    for name in command.NEEDED:
+        image = truth.read_atlas(name)
+        truth.write_atlas(name, image * (seen[..., None] if image.ndim == 3 else seen))
+    (truth.root / "atlas" / "confidence.exr").unlink()
+    figures = evaluate(mine, "--truth", truth.root).facts["figures"]
+    assert figures["albedo_psnr_db"]["mean"] > 100
+    assert figures["specular_rmse"]["mean"] < 1e-5
+    assert figures["relit_key_db"]["mean"] > 60
+
+
 def test_what_is_no_pair_is_refused(
     people: list[ProcessedFolder], tmp_path: Path, evaluate: Callable[..., Ended]
 ) -> None:

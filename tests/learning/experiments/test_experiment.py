@@ -277,6 +277,7 @@ def test_two_experiments_in_one_folder_are_refused(
         ({"jobs": 0}, "--jobs"),
         ({"prepare": True, "report": True}, "--report, --prepare: found both"),
         ({"prepare": True, "scheduler": "tcp://b:1"}, "--prepare, --scheduler: found both"),
+        ({"prepare": True, "jobs": 2}, "--prepare, --jobs: found both"),
         ({"jobs": 2, "scheduler": "tcp://b:1"}, "--scheduler, --jobs: found both"),
         ({"seeds": 0}, "--seeds"),
         ({"stop_after": float("nan")}, "--stop-after"),
@@ -346,6 +347,10 @@ def test_how_long_is_left_is_estimated_by_the_runs_that_are_finished(
     (orders[0].folder / "figures.json").write_text(json.dumps(figures))
     assert left_line(orders, orders[1:], 1, TINY) == "2 runs of 3 left, about 10 min"
     assert left_line(orders, orders[1:], 2, TINY) == "2 runs of 3 left, about 5 min"
+    # A scheduler's workers may be any number.
+    assert left_line(orders, orders[1:], None, TINY) == (
+        "2 runs of 3 left, about 10 min of one worker"
+    )
     assert left_line(orders, [], 2, TINY) == "all 3 runs are finished"
 
 

@@ -272,7 +272,9 @@ def test_a_captured_heads_maps_are_an_avatar_without_a_fit(
     require_exported(out / "export" / "head.glb", captured.registered_mesh)
     assert read_exr(out / "detail" / "displacement.exr").shape == normal.shape[:2]
     assert "the captured head captured" in (out / "avatar.html").read_text()
-    assert facts()["skipped"] == ["detail", "export"]
+    again = facts()
+    assert again["skipped"] == ["detail", "export"]
+    assert again["notes"] == first["notes"] != []
     captured.write_atlas("diffuse_albedo", 0.5 * captured.read_atlas("diffuse_albedo"))
     assert facts()["skipped"] == []
     # Another head's export does not stay where only detail is made anew.
@@ -280,6 +282,13 @@ def test_a_captured_heads_maps_are_an_avatar_without_a_fit(
     again = facts("--until", "detail")
     assert (again["parts"], again["skipped"]) == (["detail"], [])
     assert "head.glb" not in (out / "avatar.html").read_text()
+    assert not (out / "export").exists()
+    # Files of the user stay, and a note names the folder.
+    facts()
+    (out / "export" / "thesis.txt").write_text("mine")
+    captured.write_atlas("diffuse_albedo", 0.9 * captured.read_atlas("diffuse_albedo"))
+    assert str(out / "export") in " ".join(facts("--until", "detail")["notes"])
+    assert (out / "export" / "thesis.txt").read_text() == "mine"
     for words, message in (
         ([*line, captured.registered_mesh], "found both"),
         ([word for word in line if word not in ("--maps", root)], "found neither"),
