@@ -108,6 +108,9 @@ def avatar_command(
             skipped.append(stage)
             continue
         key = keys[stage]
+        if made.pop(stage, None) is not None:
+            # A kill before the new record would leave the stage under the key of an earlier one.
+            _write_record(out, made, of_export)
         with bar(f"avatar {stage}") as progress:
             if stage == "fit":
                 fit_command(dataclasses.replace(request, out=out / "fit"), progress)
@@ -121,7 +124,7 @@ def avatar_command(
         for other in OWN.keys() - made.keys():
             _remove(out / other)
         (out / PAGE).unlink(missing_ok=True)
-        write_json(out / RECORD, {"schema": SCHEMA, "stages": made, "export_notes": of_export})
+        _write_record(out, made, of_export)
     parts = [stage for stage in stages if not made.get(stage, FLAT).startswith(FLAT)]
     if not _is_newer(out / PAGE, out / RECORD):
         with bar("avatar page") as progress:
@@ -274,3 +277,8 @@ def _record(out: Path) -> tuple[dict[str, str], list[str]]:
         {k: v for k, v in stages.items() if k in KEYS} if isinstance(stages, dict) else {},
         [note for note in notes if isinstance(note, str)] if isinstance(notes, list) else [],
     )
+
+
+def _write_record(out: Path, made: dict[str, str], of_export: list[str]) -> None:
+    """Write what `_record` reads."""
+    write_json(out / RECORD, {"schema": SCHEMA, "stages": made, "export_notes": of_export})

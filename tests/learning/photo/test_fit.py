@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,13 @@ import pytest
 import trimesh
 
 from learning import avatar
+from learning.photo.command import FitRequest
 from learning.photo.fit import joined
 from learning.photo.picture import read_photograph
 from learning.photo.shape_fit import Places, detector_places
 from learning.photo.unwrap import unwrap
 from learning.render.uv import rasterise
+from lightstage.commands import quiet
 from lightstage.formats.environment import read_lights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import write_json
@@ -134,6 +137,36 @@ def test_what_is_up_to_date_is_skipped_and_a_changed_option_is_not(
     page = (out / "avatar.html").read_text()
     assert 'href="export/head.obj"' in page
     assert "head.glb" not in page
+
+
+def test_a_fit_that_is_killed_before_it_is_recorded_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = []
+
+    def fit(request: FitRequest, _: object) -> None:
+        shown.append(request.photographs[0].name)
+        about = {"rows": 6, "columns": 4, "lamps": None, "notes": []}
+        write_json(request.out / "fit.json", about)
+        if request.photographs[0].name == "two.png":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(avatar, "fit_command", fit)
+    monkeypatch.setattr(avatar, "write_avatar_page", lambda path, *_: path.touch())
+
+    def made(photograph: str) -> None:
+        path = tmp_path / photograph
+        path.write_text(photograph)
+        request = FitRequest((path,), default_template_path(), tmp_path / "A")
+        avatar.avatar_command(request, "fit", "gltf", lambda _: nullcontext(quiet))
+
+    (tmp_path / "A" / "fit").mkdir(parents=True)
+    made("one.png")
+    made("one.png")
+    with pytest.raises(KeyboardInterrupt):
+        made("two.png")
+    made("one.png")
+    assert shown == ["one.png", "two.png", "one.png"]
 
 
 def test_relief_becomes_heights_and_a_mesh_and_small_textures_have_none(
