@@ -298,7 +298,7 @@ def test_bad_input_is_one_message_and_exit_2(
     for checkpoint, expected in (
         (tmp_path / "nowhere", "found no such file"),
         (scene["rig"], "expected 'lightstage.checkpoint/1'"),
-        (scene["mesh"], "found suffix '.obj'"),
+        (scene["mesh"], "found a file with the suffix '.obj'"),
     ):
         assert expected in refusal(*infer, "--checkpoint", checkpoint, "--out", tmp_path / "x")
     train = ["train", "--data", store_path, "--out", tmp_path / "run"]

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from lightstage.errors import FormatError
 from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.mesh import Mesh, read_obj, write_ply
 from lightstage.formats.processed import ProcessedFolder
@@ -203,7 +204,7 @@ def test_the_stage_refuses_clicks_of_unknown_cameras(tmp_path):
     write_ply(scan, tmp_path / "out" / "base_mesh.ply")
     session = make_session(tmp_path / "session", [camera("cam0", 0)])
     write_points_px({"left": np.zeros((68, 2))}, session.root / "landmarks.json")
-    with pytest.raises(RegistrationError, match="left"):
+    with pytest.raises(FormatError, match="left"):
         register(session, tmp_path / "out", template, RegisterConfig())
 
 
