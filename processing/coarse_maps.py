@@ -179,7 +179,7 @@ def _narrowed(values: np.ndarray, path: Path) -> np.ndarray:
             path,
             found="values above 65504",
             expected="values that half can hold",
-            hint=f"{SCALE_WHITE[0].upper()}{SCALE_WHITE[1:]}.",
+            hint=f"{SCALE_WHITE.capitalize()}.",
         )
     _require_finite(half, path)
     return half

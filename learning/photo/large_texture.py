@@ -12,17 +12,15 @@ import math
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
-from learning.photo.sampling import sampled
-from learning.render.uv import UvRaster
+from learning.photo.sampling import averaged, sampled
+from learning.photo.several import DARK
+from learning.render.uv import UvRaster, nearest_known
 from learning.vectors import unit
 from learning.whole.detail import enlarged
 from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera
 
-DARK = 0.01
-"""Added before a logarithm is taken: in the dark a ratio would be noise."""
 MOST_DETAIL = 1.0
 """Logarithm at which detail is cut."""
 AT_ONCE = 2**20
@@ -82,13 +80,10 @@ def _sampled(shown: Shown, raster: UvRaster, here: np.ndarray) -> np.ndarray:
     """(rows, columns, 3) float32 logarithm of a photograph at the texels `here`; 0 elsewhere."""
     out = np.zeros((here.size, 3), np.float32)
     texels = np.flatnonzero(here)
-    rgb, scale = shown.rgb_linear, 1.0
+    # A texel that holds many pixels shows their mean: of half of its side, as the interpolation
+    # between the means is one of as much.
     pixels = int(shown.texels.shape[0] / (2 * shown.texels_a_pixel * len(here)))
-    if pixels > 1:
-        # A texel that holds many pixels shows their mean: of half of its side, as the interpolation
-        # between the means is one of as much.
-        size = (max(1, rgb.shape[1] // pixels), max(1, rgb.shape[0] // pixels))
-        rgb, scale = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), size[0] / rgb.shape[1]
+    rgb, scale = averaged(shown.rgb_linear, pixels)
     corners, weights = raster.face.ravel(), raster.barycentric.reshape(-1, 3)
     for start in range(0, len(texels), AT_ONCE):
         part = texels[start : start + AT_ONCE]
@@ -129,14 +124,12 @@ class Enlarging:
             known: (h, w) bool, texels of the search that hold the surface.
             raster: of the large texture.
         """
-        self._nearest = ndimage.distance_transform_edt(
-            ~known, return_distances=False, return_indices=True
-        )
+        self._nearest = nearest_known(known)
         self._covered = raster.covered
 
     def map(self, image: np.ndarray) -> np.ndarray:
         """(rows, columns[, c]) float32 of an (h, w[, c]) map; zero where no surface is."""
-        out = enlarged(image[self._nearest[0], self._nearest[1]], *self._covered.shape)
+        out = enlarged(image[self._nearest], *self._covered.shape)
         out *= self._covered if image.ndim == 2 else self._covered[..., None]
         return out
 

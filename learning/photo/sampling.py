@@ -9,6 +9,16 @@ MOST_PLACES = 30_000
 """Sampled at once: OpenCV's maps have fewer than 32,767 rows."""
 
 
+def averaged(rgb: np.ndarray, pixels: int) -> tuple[np.ndarray, np.ndarray]:
+    """A picture of the means of so many pixels a side, and (2,) by which places in it are fewer."""
+    if pixels <= 1:
+        return rgb, np.ones(2)
+    height, width = rgb.shape[:2]
+    size = (max(1, width // pixels), max(1, height // pixels))
+    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+    return small, np.array([size[0] / width, size[1] / height])
+
+
 def sampled(image: np.ndarray, places_px: np.ndarray) -> np.ndarray:
     """Bilinear values of an image at places, the border's beyond it.
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import open3d
 
-from learning.photo.sampling import sampled
+from learning.photo.sampling import averaged, sampled
 from learning.render.uv import UvRaster
 from learning.render.view import cast_from, scene_of
 from lightstage.formats.mesh import Mesh
@@ -172,13 +172,9 @@ def _sampled(
 ) -> np.ndarray:
     """(n, 3) colours; a photograph finer than the texels is averaged before."""
     factor = _pixels_of_texel(place_px, seen, covered)
-    if factor > 1:
-        size = (max(1, rgb.shape[1] // factor), max(1, rgb.shape[0] // factor))
-        small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-        scale = np.array([size[0] / rgb.shape[1], size[1] / rgb.shape[0]])
-        rgb, place_px = small, place_px * scale
+    rgb, scale = averaged(rgb, factor)
     out = np.zeros((len(place_px), 3), np.float32)
-    out[seen] = sampled(rgb, place_px[seen])
+    out[seen] = sampled(rgb, place_px[seen] * scale)
     return out
 
 

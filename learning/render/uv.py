@@ -79,8 +79,15 @@ def spread_outside(image: np.ndarray, known: np.ndarray) -> np.ndarray:
     """
     if known.all() or not known.any():
         return image
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return image[nearest[0], nearest[1]]
+    return image[nearest_known(known)]
+
+
+def nearest_known(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns, (rows, columns) int32 each, of the known texel that is nearest to each."""
+    rows, columns = ndimage.distance_transform_edt(
+        ~known, return_distances=False, return_indices=True
+    )
+    return rows, columns
 
 
 @dataclasses.dataclass(frozen=True)
