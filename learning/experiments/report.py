@@ -1,7 +1,7 @@
 """The report of an experiment, from whatever runs are finished: Markdown, JSON, plots, pictures.
 
 It is report.md with tables, sentences and plots (`.svg`), report.json with the same figures, and
-albedo.png, albedos found: a column a setting, a row a light.
+albedo.png, albedos found: a column a setting, a row a person and light.
 """
 
 from __future__ import annotations
@@ -29,7 +29,15 @@ from learning.experiments.variants import (
     Variant,
     budgets,
 )
-from learning.experiments.work import DIVERGED, FIGURES_FILE, FIGURES_SCHEMA, SHOWN, run_name
+from learning.experiments.work import (
+    DIVERGED,
+    FIGURES_FILE,
+    FIGURES_SCHEMA,
+    SHOWN,
+    SHOWN_PEOPLE,
+    picture_name,
+    run_name,
+)
 from lightstage.counting import counted
 from lightstage.errors import LightstageError
 from lightstage.formats.files import read_json, without_nan, write_json, write_text
@@ -366,32 +374,28 @@ def _row(cells: list[str]) -> str:
 
 
 def _sheet(out: Path, runs: Path, experiment: Experiment, config: ExperimentConfig) -> str:
-    """Write albedos found by the first seed, a column a setting, a row a light; its Markdown."""
+    """Write albedos found by the first seed: a column a setting, a row a person and light.
+
+    Returns the Markdown that shows them; none where no run has pictures.
+    """
     for budget in reversed(budgets(config, experiment)):
-        rows, names = [], []
-        there = [
-            (v, runs / run_name(v.name, budget, 0))
-            for v in experiment.variants
-            if (runs / run_name(v.name, budget, 0) / f"{SHOWN[0]}.png").is_file()
-        ]
-        if not there:
-            continue
-        names = ["texture", *(v.title.replace("`", "") for v, _ in there), "truth"]
-        for light in SHOWN:
-            parts = [_thirds(folder / f"{light}.png") for _, folder in there]
-            if any(part is None for part in parts):
-                continue
+        named = [(v, runs / run_name(v.name, budget, 0)) for v in experiment.variants]
+        there = [(v, run) for v, run in named if (run / picture_name(0, SHOWN[0])).is_file()]
+        rows = []
+        for person, light in itertools.product(range(SHOWN_PEOPLE), SHOWN):
+            parts = [_thirds(run / picture_name(person, light)) for _, run in there]
             whole = [part for part in parts if part is not None]
-            rows.append(
-                np.concatenate([whole[0][0], *(part[1] for part in whole), whole[0][2]], axis=1)
-            )
+            if whole and len(whole) == len(parts):
+                found = [part[1] for part in whole]
+                rows.append(np.concatenate([whole[0][0], *found, whole[0][2]], axis=1))
         if not rows:
             continue
+        names = ["texture", *(v.title.replace("`", "") for v, _ in there), "truth"]
         picture = np.concatenate([_titles(names, rows[0].shape[1] // len(names)), *rows])
         write_png(out / SHEET, picture)
         return (
-            f"The first seed, the first person held out, at {AT[budget]}, in the target light and "
-            f"in hard light from the side; `modern` sees the same texture.\n\n"
+            f"The first seed, people held out, at {AT[budget]}, each in the target light and "
+            f"in hard light from the side; `modern` sees the same textures.\n\n"
             f"![albedos found]({SHEET})"
         )
     return ""

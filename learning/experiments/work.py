@@ -71,6 +71,8 @@ LEAST_SECONDS = 1e-3
 DONE, DIVERGED, STOPPED = "done", "diverged", "stopped"
 SHOWN = (TARGET, SIDE)
 """Lights of the pictures."""
+SHOWN_PEOPLE = 5
+"""How many people have pictures: the first ones held out, of the first seed."""
 PICTURE_ROWS = 384
 """Rows of a picture, at most."""
 
@@ -314,7 +316,7 @@ def _can_resume(training: Path) -> bool:
 def _measured(
     order: Order, store: Store, held_out: set[str], device: torch.device
 ) -> dict[str, Any]:
-    """Figures on the people held out, in all lights; pictures of the first seed's first person."""
+    """Figures on the people held out, in all lights; pictures of the first seed's first ones."""
     infer_maps = _inference_of(order, order.source / TRAINING, device)
     originals = open_store(order.data)
     tones = tones_of(originals, tuple(map(subject_of, held_out)))
@@ -328,10 +330,11 @@ def _measured(
         seconds += [one.seconds for one in found]
         each = {one.light: one.figures for one in found}
         people.append({"name": subject.name, "tone_deg": tones[subject.name], "lights": each})
-        if not index and not order.seed:
+        if index < SHOWN_PEOPLE and not order.seed:
             for one in found:
                 if one.light in SHOWN:
-                    _write_picture(order.folder, one, subject.maps["diffuse_albedo"])
+                    path = order.folder / picture_name(index, one.light)
+                    _write_picture(path, one, subject.maps["diffuse_albedo"])
     values = [f[name] for p in people for f in p["lights"].values() for name in FIGURES]
     wrong = not all(map(math.isfinite, values))
     diverged = {"state": DIVERGED, "said": "figures that are not finite"} if wrong else {}
@@ -357,16 +360,18 @@ def _inference_of(order: Order, run: Path, device: torch.device) -> Infer:
     return lambda texture, mesh: infer(generator, config.data, texture, mesh, pose)
 
 
-def _write_picture(folder: Path, found: Measured, true: np.ndarray) -> None:
+def picture_name(person: int, light: str) -> str:
+    """File, in a run's folder, of a person's picture; people count from 0."""
+    return f"{light}-{person + 1}.png"
+
+
+def _write_picture(path: Path, found: Measured, true: np.ndarray) -> None:
     """Texture, albedo found and true albedo, side by side, sRGB-encoded."""
     here = found.texture.any(axis=2, keepdims=True)
     parts = [found.texture, found.found["diffuse_albedo"] * here, true * here]
     step = slice(None, None, -(-len(true) // PICTURE_ROWS))
     encoded = [srgb_from_linear(np.clip(part[step, step], 0, 1)) for part in parts]
-    write_png(
-        folder / f"{found.light}.png",
-        np.round(255 * np.concatenate(encoded, axis=1)).astype(np.uint8),
-    )
+    write_png(path, np.round(255 * np.concatenate(encoded, axis=1)).astype(np.uint8))
 
 
 def _tidy(order: Order) -> None:

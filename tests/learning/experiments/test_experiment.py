@@ -6,10 +6,12 @@ import dataclasses
 import json
 import math
 import os
+import shutil
 import signal
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -23,8 +25,9 @@ from learning.experiments.drive import THREADS, _executor, run_all
 from learning.experiments.held_out import FIGURES, measure, read_subjects
 from learning.experiments.lights import NAMES
 from learning.experiments.people import halves_of, store_of
+from learning.experiments.report import SHEET_TEXT_PX
 from learning.experiments.variants import EXPERIMENTS, STEPS
-from learning.experiments.work import DIVERGED, DONE, STOPPED, Order, one_run
+from learning.experiments.work import DIVERGED, DONE, SHOWN, STOPPED, Order, one_run
 from learning.patch_light import target_environment
 from learning.render.environments import RandomLightConfig
 from learning.whole.infer import infer_whole_face
@@ -77,7 +80,8 @@ def test_a_ladder_leaves_figures_of_each_person_and_light_and_no_weights(finishe
         assert person["name"] == "person-2"
         assert list(person["lights"]) == ["target", "side-right"]
         assert all(light.keys() == set(FIGURES) for light in person["lights"].values())
-        assert (folder / "target.png").is_file()
+        pictures = {path.name for path in folder.glob("*.png")}
+        assert pictures == {"target-1.png", "side-right-1.png"}
     # A refinement needs the network that it refines, but not its optimiser.
     kept = {path.parent.parent.name for path in finished.rglob("*.safetensors")}
     assert kept == {"modern-steps-seed0"}
@@ -121,6 +125,23 @@ def test_a_second_call_finds_all_done_and_the_report_can_be_written_without_data
     assert [each["name"] for each in settings] == ["single", "modern", "modern-refined"]
     # One dot for each seed of each setting.
     assert (finished / "reflectance-steps.svg").read_text().count("<circle ") == 3
+
+
+def test_the_sheet_has_a_row_for_each_person_held_out_and_light(
+    finished: Path, tmp_path: Path
+) -> None:
+    out = shutil.copytree(finished, tmp_path / "out")
+    for folder in (path.parent for path in out.glob("runs/*/*/figures.json")):
+        for light in SHOWN:
+            shutil.copyfile(folder / f"{light}-1.png", folder / f"{light}-2.png")
+    heights = []
+    for folder in (finished, out):
+        run(asked("ladder", folder, None, report=True))
+        sheet = cv2.imread(str(folder / "albedo.png"))
+        assert sheet is not None
+        heights.append(len(sheet))
+    # Two lights of one person, then of two.
+    assert (heights[0] - SHEET_TEXT_PX) * 2 == heights[1] - SHEET_TEXT_PX > 0
 
 
 def test_runs_of_other_code_are_kept_apart_and_named(
