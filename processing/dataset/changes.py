@@ -10,11 +10,13 @@ import secrets
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import zarr
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.counting import counted
 from lightstage.errors import LightstageError, one_error
 from lightstage.formats.consents import require_consents
 from lightstage.formats.files import (
@@ -31,18 +33,22 @@ from processing.dataset.contents import (
     HISTORY,
     RELEASES,
     Entry,
+    append_line,
+    now_utc,
     read_entries,
     require_fits,
     sums_of,
     write_entries,
 )
 from processing.dataset.scan import DatasetError, ScanEntry, read_scan
-from processing.dataset.store import CHUNK, DATASET, SCANS, SHARD, STORE, open_store
+from processing.dataset.store import CHUNK, DATASET, SCANS, SHARD, STORE, Store, open_store
 
 LOCK = "store.lock"
 LOCK_S = 60.0
 """Whoever changes dataset.json holds the lock for milliseconds; who builds the store anew, for all
 the time that this takes."""
+RELEASE_LOCK_S = 3600.0
+"""So long a release, which took as long to make, waits for who builds the store anew."""
 SHARDS, SHARDS_SCHEMA = "shards.json", "lightstage.shards/1"
 BESIDE = ".adding-"
 """Begins the name of a scan that is being written, in `scans`."""
@@ -261,15 +267,43 @@ def _named(store: Path, entries: Sequence[Entry]) -> dict[str, ScanEntry]:
     return {f"scan {entry.folder} of {store}": entry.scan for entry in entries}
 
 
+def record_release(store: Store, release: dict[str, Any]) -> None:
+    """Record in the lab which scans a release was made of: the release itself does not show it.
+
+    Args:
+        store: the lab's store, as it was read for the release.
+        release: where it is going to be, and its hash.
+
+    Raises:
+        DatasetError: scans that were removed since, whose release would be one of people who are
+            to be forgotten; a store that another process is changing.
+    """
+    open_store(store.path)  # for its messages, where there is none any more
+    with _changing(store.path, RELEASE_LOCK_S):
+        left = {scan.sha256 for scan in open_store(store.path).scans}
+        gone = [scan for scan in store.scans if scan.sha256 not in left]
+        if gone:
+            raise DatasetError(
+                store.path,
+                found=f"a store from which {counted(len(gone), 'scan')} went while the release was "
+                "made of it",
+                expected="all scans of the release still in it",
+                hint="Publish again: the release is made of the scans that are left.",
+            )
+        line = {"utc": now_utc(), **release, "fingerprint": store.fingerprint}
+        append_line(store.path / RELEASES, {**line, "scans": [scan.sha256 for scan in store.scans]})
+
+
 @contextlib.contextmanager
-def _changing(store: Path) -> Iterator[None]:
+def _changing(store: Path, wait_s: float | None = None) -> Iterator[None]:
+    wait_s = LOCK_S if wait_s is None else wait_s
     busy = DatasetError(
         store,
-        found=f"a store that another process has been changing for {LOCK_S:g} s",
+        found=f"a store that another process has been changing for {wait_s:g} s",
         expected="one that is free",
         hint="Wait until that process has ended.",
     )
-    with locked(store / LOCK, busy, wait_s=LOCK_S):
+    with locked(store / LOCK, busy, wait_s=wait_s):
         yield
 
 
