@@ -35,6 +35,7 @@ from processing.calibration import command as calibration_command
 from processing.calibration.cameras import command as cameras_command
 from processing.calibration.lights import wiring_command
 from processing.errors import ProcessingError
+from processing.options import TemplatePath
 from processing.template import command as template_command
 
 app = make_app("Photographs of a light stage to reflectance maps, mesh, atlas and dataset.")
@@ -49,12 +50,6 @@ batch_command.register(app)
 
 SessionPath = typer.Argument(..., help="Session folder.", show_default=False)
 OutPath = output_folder("--out", help="Processed folder, made or continued.")
-TemplatePath = typer.Option(
-    default_template_path(),
-    "--template",
-    help="Template folder, whose topology and texture a registered head has.",
-    show_default="the project's own",
-)
 Overwrite = typer.Option(False, "--overwrite", help="Replace what is there.")
 Force = typer.Option(
     False, "--force", help="Continue where photographs contradict each other or their patterns."

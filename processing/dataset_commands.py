@@ -129,7 +129,8 @@ def verify_command(store: Path = StoreArgument, as_json: bool = JsonFlag) -> Non
     summary = f"{store}: {_store_counts(facts)}, {counted(files, 'file')} as they were written"
     if left:
         summary += (
-            f"; {', '.join(left[:5])} in it are of no scan: a process that wrote them was killed"
+            f"; {', '.join(left[:5])}: of no scan, left by processes that were killed; "
+            "`dataset add`, `remove` and `build` remove it"
         )
     finish(summary, facts, as_json)
 
@@ -150,8 +151,7 @@ def forget_command(
 
     if not yes:
         with progress_bar("dataset forget") as progress:
-            found = forgetting.survey(subject, folders, False, progress)
-        forgetting.require_somebody(subject, folders, found)
+            _, found = forgetting.search(subject, folders, out, False, progress)
         text = "\n".join(
             [*forgetting.found_in_words(found), "Nothing was removed; --yes removes it."]
         )

@@ -14,7 +14,7 @@ from typing import Any
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, one_error
 from lightstage.formats.config import as_dict
-from lightstage.formats.files import write_json
+from lightstage.formats.files import read_json, write_json
 from lightstage.formats.lock import locked
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, changed_frames, load_session
@@ -135,8 +135,9 @@ def run(
         lacked = _lacks_views(records, last)
         if lacked:
             records = _write_views(job, records, bar)
+        described = _is_described(job)
         report = write_report_json(job, records)
-        if planned or lacked or lacks_head(out):
+        if planned or lacked or not described or lacks_head(out):
             write_processed_report(out, report)
     return {**report, "ran": planned}
 
@@ -243,14 +244,26 @@ def run_next(job: Job, last: str = STAGES[-1], bar: Bar = no_bar) -> tuple[str |
     return ran, planned
 
 
-def is_reported(out: Path, last: str) -> bool:
-    """Whether what a run ends with was written after its last stage: a kill may come between."""
-    stages, report = out / "stages.json", out / "report.html"
+def is_reported(job: Job, last: str) -> bool:
+    """Whether what a run ends with was written after its last stage, of the session as it is.
+
+    A kill may come between, and a consent's id may be corrected in the session later.
+    """
+    stages, report = job.out / "stages.json", job.out / "report.html"
     try:
         reported = report.stat().st_mtime_ns >= stages.stat().st_mtime_ns
     except FileNotFoundError:
         return False
-    return reported and not _lacks_views(read_records(out), last)
+    return reported and _is_described(job) and not _lacks_views(read_records(job.out), last)
+
+
+def _is_described(job: Job) -> bool:
+    """Whether OUT/report.json has of the session what no stage reads."""
+    try:
+        value = read_json(job.out / "report.json")
+    except FormatError:
+        return False
+    return isinstance(value, dict) and all(value.get(k) == v for k, v in _about(job).items())
 
 
 class BusyError(ProcessingError):
@@ -408,6 +421,18 @@ def _write_views(job: Job, records: dict[str, Record], bar: Bar) -> dict[str, Re
     return records
 
 
+def _about(job: Job) -> dict[str, Any]:
+    """What the report has of the session itself."""
+    file = job.session.file
+    consent = (file.model_extra or {}).get("consent")
+    return {
+        "session": file.id,
+        "subject": file.subject,
+        "expression": file.expression,
+        "consent": consent,
+    }
+
+
 def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:
     """Write OUT/report.json from the finished stages; returns its content.
 
@@ -421,10 +446,7 @@ def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:
     ]
     report = {
         "schema": REPORT_SCHEMA,
-        "session": job.session.file.id,
-        "subject": job.session.file.subject,
-        "expression": job.session.file.expression,
-        "consent": (job.session.file.model_extra or {}).get("consent"),
+        **_about(job),
         "stages": stages,
         "warnings": warnings,
         "versions": versions(),

@@ -10,7 +10,7 @@ from typing import Any
 from lightstage.formats.config import as_dict
 from lightstage.formats.files import sha256_file
 from lightstage.formats.landmarks import LANDMARKS
-from lightstage.formats.session import Session
+from lightstage.formats.session import Frame, Session
 from processing.reachable import ROOT, reachable_files
 from processing.records import CODE, Record, hash_of
 
@@ -119,14 +119,14 @@ def _fits(stage: str) -> bool:
 def _files(session: Session, stage: str, config: Any) -> list[str | None]:
     """Hashes of the files that a stage reads and no stage before it has written."""
     if stage == "decode":
-        files = [session.root / "session.json", session.root / "rig.json"]
+        files = [session.root / "rig.json"]
         named = session.file.calibration.model_dump().values()
         for path in [session.root / name for name in named if isinstance(name, str)]:
             # Gains of single pixels are beside the flats that name them.
             files += [path, *sorted(path.parent.glob(f"{path.stem}-*.npz"))]
         read = [sha256_file(path) for path in [*files, *_meshes(config.mesh)]]
         # A photograph that was copied back takes the place of one that was rebuilt.
-        return [*read, *_missing(session)]
+        return [_read_of(session), *read, *_missing(session)]
     if stage == "reconstruct":
         read = [sha256_file(path) for path in _meshes(config.mesh, config.occluders)]
         # The name of a depth map is its camera's.
@@ -136,6 +136,17 @@ def _files(session: Session, stage: str, config: Any) -> list[str | None]:
         landmarks = session.root / LANDMARKS
         return [sha256_file(landmarks) if landmarks.is_file() else None]
     return []
+
+
+def _read_of(session: Session) -> str:
+    """Hash of what stages read of session.json: whose it is, and with which consent, they do not.
+
+    Of a photograph that was taken again only its file counts, not the number of the take.
+    """
+    file, of_frame = session.file, tuple(Frame.model_fields)
+    frames = [[getattr(frame, name) for name in of_frame] for frame in file.frames]
+    levels = {name: driven.levels for name, driven in file.patterns.items()}
+    return hash_of(file.sequence, frames, levels, file.calibration.model_dump())
 
 
 def _missing(session: Session) -> list[str]:

@@ -58,7 +58,7 @@ def sessions_command(
 
 def _cells(each: Seen) -> list[str]:
     state = f"{SIGNS[each.state]} {each.state}"
-    if each.state in ("running", "unfinished"):
+    if each.kept < each.wanted:
         state += f", {each.kept} of {each.wanted}"
     if each.accepted:
         state += f", {counted(each.accepted, 'pattern')} accepted with faults"

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
+from lightstage.counting import counted
 from lightstage.day.plan import take_folder
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.checked import CHECKED, CHECKED_SCHEMA
 from lightstage.formats.files import read_json, sha256_file
+from lightstage.formats.paths import path_inside
 from lightstage.formats.session import load_session, missing_frames
 from lightstage.formats.values import LINE, open_regular, parse_json
 from lightstage.operator.client import answers
@@ -31,7 +34,7 @@ MOST_FOLDERS = 10_000
 
 @dataclasses.dataclass(frozen=True)
 class Seen:
-    """The state of a session's folder; no photograph is read.
+    """The state of a session's folder; of photographs only their sizes are read.
 
     Attributes:
         root: the folder.
@@ -48,7 +51,8 @@ class Seen:
         checked: what `lightstage check --record` noted.
         why: what a check found that failed; otherwise empty.
         processed: processed folders that were made from it.
-        said: what is wrong with a damaged session; otherwise empty.
+        said: what is wrong with a damaged session; otherwise empty. One whose journal is whole has
+            all else as well.
     """
 
     root: Path
@@ -162,9 +166,9 @@ def _by_journal(root: Path) -> Seen:
             value if type(value := counts.get(name)) is int else 0
             for name in ("accepted", "accepted_findings")
         )
-        return dataclasses.replace(seen, accepted=accepted, findings=findings)
+        return _held_against_disk(dataclasses.replace(seen, accepted=accepted, findings=findings))
     if "led_device" not in begin and (root / "session.json").is_file():  # imported
-        return seen
+        return _held_against_disk(seen)
     # Few sessions are unfinished: their journals are read whole.
     view = View(str(root))
     with JournalTail(root / JOURNAL) as tail:
@@ -172,6 +176,50 @@ def _by_journal(root: Path) -> Seen:
             view.receive(line)
     running = not view.over and answers(root)
     return dataclasses.replace(seen, state="running" if running else "unfinished", kept=view.kept)
+
+
+def _held_against_disk(seen: Seen) -> Seen:
+    """A session that ended; damaged where a photograph is not there, or has another size."""
+    file = (seen.root / JOURNAL).stat()
+    lost = [
+        str(path.relative_to(seen.root.resolve()))
+        for path, size in _counting(seen.root.resolve(), file.st_mtime_ns, file.st_size)
+        if not path.is_file() or size not in (None, path.stat().st_size)
+    ]
+    if not lost:
+        return seen
+    more = f" and {counted(len(lost) - 1, 'other')}" if lost[1:] else ""
+    said = FormatError(
+        seen.root,
+        found=f"{lost[0]}{more} missing or of another size",
+        expected="every photograph as it was kept",
+        hint="Copy it back from where it is whole, or take it again: lightstage retake.",
+    )
+    kept = max(0, seen.wanted - len(lost))
+    return dataclasses.replace(seen, state="damaged", kept=kept, said=str(said))
+
+
+@functools.lru_cache(maxsize=1024)
+def _counting(root: Path, time_ns: int, size: int) -> tuple[tuple[Path, int | None], ...]:
+    """Files and sizes of the photographs that count, of a journal of this time and size.
+
+    The size is None where the journal, of an earlier version, does not have it.
+    """
+    del time_ns, size  # they are the cache's: the journal of an ended session hardly ever changes
+    takes: dict[tuple[str, str], dict[int, tuple[Path, int | None]]] = {}
+    with JournalTail(root / JOURNAL) as tail:
+        for line in tail.read():
+            key, take = (text_of(line, "pattern"), text_of(line, "camera")), line.get("take")
+            if type(take) is not int:
+                continue
+            if line.get("event") == "frame":
+                path = path_inside(root, line.get("path"), root / JOURNAL, "path")
+                length = line.get("size")
+                known = length if type(length) is int and length > 0 else None
+                takes.setdefault(key, {})[take] = path, known
+            elif line.get("event") == "rejected":
+                takes.get(key, {}).pop(take, None)
+    return tuple(of_key[max(of_key)] for of_key in takes.values() if of_key)
 
 
 def _ends(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:

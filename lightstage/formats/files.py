@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fnmatch
+import glob
 import hashlib
 import json
 import math
@@ -18,6 +19,7 @@ from typing import Any
 
 from lightstage.errors import FormatError
 from lightstage.failures import disk_full, is_disk_full
+from lightstage.formats.lock import abandoned, being_filled, remove_abandoned
 from lightstage.formats.values import read_value
 
 NAME_BYTES = 4
@@ -83,6 +85,33 @@ def leftovers(folder: Path, name: str) -> list[Path]:
     digits = "[0-9a-f]" * 2 * NAME_BYTES
     beside = f".{own.stem}.{digits}{own.suffix}"
     return sorted([*folder.glob(beside), *folder.glob(f"{beside}.old")])
+
+
+def abandoned_beside(path: Path) -> list[Path]:
+    """Half-filled folders that killed calls of `atomic_folder` left beside `path`, sorted.
+
+    What somebody is filling is not among them.
+    """
+    beside = f".{glob.escape(path.name)}.{'[0-9a-f]' * 2 * NAME_BYTES}"
+    halves = [half for half in path.parent.glob(beside) if abandoned(half)]
+    # An old folder is moved away for the moment in which the new one takes its place.
+    olds = [old for old in path.parent.glob(f"{beside}.old") if not _being_replaced(old)]
+    return sorted([*halves, *olds])
+
+
+def _being_replaced(old: Path) -> bool:
+    half = old.with_suffix("")
+    return half.exists() and not abandoned(half)
+
+
+def _clear_of_killed(path: Path) -> None:
+    """Remove what killed calls left beside `path`, and put back what they had moved away."""
+    for left in abandoned_beside(path):
+        with contextlib.suppress(OSError):  # of another user, or gone meanwhile
+            if left.suffix == ".old" and not path.exists():
+                os.replace(left, path)
+            else:
+                remove_abandoned(left)
 
 
 def others_in(folder: Path, own: Iterable[str]) -> list[str]:
@@ -186,7 +215,8 @@ def atomic_folder(
 ) -> Iterator[Path]:
     """Yield a new folder beside `path` to fill; on success it takes the place of `path`.
 
-    If the block raises, the new folder is removed and `path` is left as it was.
+    If the block raises, the new folder is removed and `path` is left as it was. What killed calls
+    for the same `path` left is removed first.
 
     Args:
         path: the folder to make or to replace.
@@ -203,27 +233,31 @@ def atomic_folder(
     # Of a link what it leads to is replaced, and the link stays.
     path = path.resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{secrets.token_hex(NAME_BYTES)}")
-    old = beside.with_name(beside.name + ".old")
-    try:
-        beside.mkdir()
-        yield beside
-        fsync_path(beside)
-        if path.exists():
-            os.replace(path, old)
-        os.replace(beside, path)
-        fsync_path(path.parent)
-    except BaseException as error:
-        full = is_disk_full(error)
-        written = _bytes_below(beside) if full else 0
-        _remove(beside)
-        if full:
-            raise disk_full(path, written) from error
-        raise
-    finally:
-        if old.exists() and not path.exists():
-            os.replace(old, path)
-        shutil.rmtree(old, ignore_errors=True)
+    _clear_of_killed(path)
+
+    def name() -> Path:
+        return path.with_name(f".{path.name}.{secrets.token_hex(NAME_BYTES)}")
+
+    with being_filled(name) as beside:
+        old = beside.with_name(beside.name + ".old")
+        try:
+            yield beside
+            fsync_path(beside)
+            if path.exists():
+                os.replace(path, old)
+            os.replace(beside, path)
+            fsync_path(path.parent)
+        except BaseException as error:
+            full = is_disk_full(error)
+            written = _bytes_below(beside) if full else 0
+            _remove(beside)
+            if full:
+                raise disk_full(path, written) from error
+            raise
+        finally:
+            if old.exists() and not path.exists():
+                os.replace(old, path)
+            shutil.rmtree(old, ignore_errors=True)
 
 
 def _remove(folder: Path) -> None:

@@ -88,7 +88,11 @@ def _address_to_json(light: Light) -> dict[str, Any]:
 
 
 def rig_sha256(rig: Rig) -> str:
-    """SHA-256 of a rig's content, however its file is formatted."""
+    """SHA-256 of a rig's content, however its file is formatted.
+
+    Calibration shots and measured rigs have it; a session's journal has `session.rig_hash`, of the
+    same content with a space after each comma and colon. Labs keep files of both.
+    """
     text = json.dumps(rig_to_json(rig), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 

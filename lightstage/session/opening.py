@@ -59,5 +59,9 @@ def require_new(root: Path) -> None:
 
 
 def rig_hash(rig: Rig) -> str:
-    """SHA-256 of rig.json's content, however it is formatted."""
+    """SHA-256 of rig.json's content, however it is formatted, as a journal has it.
+
+    Calibration shots have another one of the same content, `rig.rig_sha256`, which is taken of it
+    without spaces.
+    """
     return hashlib.sha256(json.dumps(rig_to_json(rig), sort_keys=True).encode()).hexdigest()

@@ -15,9 +15,9 @@ from lightstage.counting import counted
 from lightstage.errors import ConfigError, DiskFullError, FormatError, LightstageError, one_error
 from lightstage.formats.access import group_of, limited_access
 from lightstage.formats.consents import require_consents
-from lightstage.formats.template import default_template_path
 from processing.atlas.config import AtlasConfig
 from processing.errors import ProcessingError
+from processing.options import TemplatePath
 
 if TYPE_CHECKING:
     from lightstage.formats.session import Session
@@ -36,12 +36,7 @@ def register(app: typer.Typer) -> None:
 def batch_command(
     sessions: list[Path] = typer.Argument(..., help="Session folders.", show_default=False),
     out: Path = output_folder("--out", help="Folder for a processed folder of each session."),
-    template: Path = typer.Option(
-        default_template_path(),
-        "--template",
-        help="Template folder, whose topology and texture a registered head has.",
-        show_default="the project's own",
-    ),
+    template: Path = TemplatePath,
     config: Path | None = typer.Option(
         None, "--config", help="TOML file with one table for each stage, and [batch]."
     ),

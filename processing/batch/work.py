@@ -178,7 +178,7 @@ def _work(order: Order, verified: bool | None, worker: str) -> Answer:
         else:
             ran, left = pipeline.run_next(job, order.until, _progress(order))
     facts = {name: record.facts for name, record in read_records(out).items()}
-    reported = pipeline.is_reported(out, order.until)
+    reported = pipeline.is_reported(job, order.until)
     return Answer("done", worker, ran, tuple(left), reported, facts)
 
 

@@ -98,8 +98,8 @@ def ball_shots(
         session: one pose.
         colour: corrections of its cameras; without them channels are the cameras' raw ones.
         patterns: some of its patterns; all where absent.
-        flats: fields of its cameras, by which black level and vignetting of RAW photographs are
-            mended: a lens's darker rim would pass for weaker lamps.
+        flats: fields of its cameras, by which black level, hot pixels and vignetting of RAW
+            photographs are mended: a lens's darker rim would pass for weaker lamps.
     """
     names = tuple(session.file.sequence) if patterns is None else patterns
     corrections, fields = colour or {}, flats or {}

@@ -15,6 +15,10 @@ from lightstage.formats.flats import FlatField
 from lightstage.formats.orientation import UNTURNED, Orientation, of_libraw
 from lightstage.raw_errors import unreadable_raw
 from processing.raw.clip import CLIP_SHARE
+from processing.raw.hot_pixels import mend
+
+MOST = 0.5
+"""Share of a hot pixel's neighbours above which all of them count."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,14 +111,20 @@ def read_mosaic(path: Path, clip_share: float = CLIP_SHARE) -> Mosaic:
 
 
 def flattened(mosaic: Mosaic, field: FlatField | None) -> Mosaic:
-    """A photograph with its black level mended and its vignetting undone."""
+    """A photograph with its black level and hot pixels mended and its vignetting undone.
+
+    A hot pixel counts as clipped where most of its neighbours are.
+    """
     if field is None:
         return mosaic
     read = mosaic.as_read()
-    level = read.level.copy()
+    level, clipped = read.level.copy(), read.clipped.astype(np.float32)
     if field.black_offset is not None:
         for place, offset in enumerate(field.black_offset):
             level[place // 2 :: 2, place % 2 :: 2] -= np.float32(offset)
+    mend(level, field.hot_pixels)
+    mend(clipped, field.hot_pixels)
     height, width = level.shape
     level *= field.gain((height, width))
-    return dataclasses.replace(read, level=level).upright(mosaic.orientation)
+    made = dataclasses.replace(read, level=level, clipped=clipped > MOST)
+    return made.upright(mosaic.orientation)

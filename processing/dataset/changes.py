@@ -6,18 +6,22 @@ import contextlib
 import dataclasses
 import hashlib
 import os
+import re
 import secrets
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import zarr
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.counting import counted
 from lightstage.errors import LightstageError, one_error
 from lightstage.formats.consents import require_consents
 from lightstage.formats.files import (
+    abandoned_beside,
     atomic_folder,
     fsync_path,
     read_json,
@@ -25,28 +29,34 @@ from lightstage.formats.files import (
     sha256_file,
     write_json,
 )
-from lightstage.formats.lock import locked
+from lightstage.formats.lock import abandoned, being_filled, locked, remove_abandoned
 from processing.dataset.arrays import written_whole
 from processing.dataset.contents import (
     HISTORY,
     RELEASES,
     Entry,
+    append_line,
+    now_utc,
     read_entries,
     require_fits,
     sums_of,
     write_entries,
 )
 from processing.dataset.scan import DatasetError, ScanEntry, read_scan
-from processing.dataset.store import CHUNK, DATASET, SCANS, SHARD, STORE, open_store
+from processing.dataset.store import CHUNK, DATASET, SCANS, SHARD, STORE, Store, open_store
 
 LOCK = "store.lock"
 LOCK_S = 60.0
 """Whoever changes dataset.json holds the lock for milliseconds; who builds the store anew, for all
 the time that this takes."""
+RELEASE_LOCK_S = 3600.0
+"""So long a release, which took as long to make, waits for who builds the store anew."""
 SHARDS, SHARDS_SCHEMA = "shards.json", "lightstage.shards/1"
 BESIDE = ".adding-"
 """Begins the name of a scan that is being written, in `scans`."""
 FOLDER_DIGITS = 16
+OF_A_SCAN = re.compile(f"[0-9a-f]{{{FOLDER_DIGITS}}}")
+"""Names of scans; what has another was put there by hand."""
 
 
 def build_store(
@@ -93,7 +103,7 @@ def build_store(
     with contextlib.ExitStack() as stack:
         if (out / DATASET).is_file():
             # A scan that is added or removed meanwhile would be lost, or be back, with the new one.
-            stack.enter_context(_changing(out))
+            stack.enter_context(changing(out))
         beside = stack.enter_context(atomic_folder(out, DATASET, STORE))
         for index, root in enumerate(processed):
             try:
@@ -155,30 +165,30 @@ def add_scan(store: Path, root: Path, consents: Path | None = None) -> str:
     if not entry.synthetic:
         require_consents(consents, "research", {f"{entry.subject} in {root}": entry.consent})
     require_fits(root, entry, _named(store, read_entries(store)))
-    beside = store / SCANS / f"{BESIDE}{secrets.token_hex(4)}"
-    try:
-        made = _written(store, entry, maps, beside.name)
-        made = dataclasses.replace(made, folder=_folder_of(entry))
-        # On the disk before the list names them.
-        for path in beside.rglob("*"):
-            fsync_path(path)
-        with _changing(store):
-            before = read_entries(store)
-            require_fits(root, entry, _named(store, before))
-            place = store / SCANS / made.folder
-            if place.exists():
-                # In no list: somebody who was adding it, or removing it, was killed.
-                _discard(place)
-            os.replace(beside, place)
-            fsync_path(place.parent)
-            write_entries(store, [*before, made], before)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
+    with being_filled(lambda: _beside(store)) as beside:
+        try:
+            made = _written(store, entry, maps, beside.name)
+            made = dataclasses.replace(made, folder=_folder_of(entry))
+            # On the disk before the list names them.
+            for path in beside.rglob("*"):
+                fsync_path(path)
+            with changing(store):
+                before = read_entries(store)
+                require_fits(root, entry, _named(store, before))
+                _clear_of_killed(store, before)
+                place = store / SCANS / made.folder
+                os.replace(beside, place)
+                fsync_path(place.parent)
+                write_entries(store, [*before, made], before)
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
     return made.folder
 
 
 def remove_scans(store: Path, names: Sequence[str]) -> list[Entry]:
     """Take scans out of a store: first off the list, then off the disk.
+
+    What processes that were killed left in the store goes too.
 
     Args:
         store: its folder.
@@ -191,7 +201,7 @@ def remove_scans(store: Path, names: Sequence[str]) -> list[Entry]:
         DatasetError: a name that no scan has, or the last scan.
     """
     open_store(store)  # for its messages, where it is none
-    with _changing(store):
+    with changing(store):
         before = read_entries(store)
         there = {entry.folder for entry in before}
         unknown = [name for name in dict.fromkeys(names) if name not in there]
@@ -214,7 +224,9 @@ def remove_scans(store: Path, names: Sequence[str]) -> list[Entry]:
             )
         write_entries(store, left, before)
         for entry in gone:
-            _discard(store / SCANS / entry.folder)
+            if (store / SCANS / entry.folder).exists():
+                _discard(store / SCANS / entry.folder)
+        _clear_of_killed(store, left)
     return gone
 
 
@@ -226,7 +238,8 @@ def verify_store(store: Path, progress: ProgressCallback = quiet) -> tuple[int, 
         progress: called after each scan.
 
     Returns:
-        Files that were compared, and what else is in `scans`: left by a run that was killed.
+        Files that were compared, and what processes that were killed left: folders in `scans` by
+        their names, half-built stores beside this one by their paths.
 
     Raises:
         DatasetError: all files that are missing, changed or not of the store, in one message.
@@ -242,8 +255,40 @@ def verify_store(store: Path, progress: ProgressCallback = quiet) -> tuple[int, 
         progress(index + 1, len(entries))
     if problems:
         raise one_error(problems)
-    own = {entry.folder for entry in entries}
-    return files, sorted(p.name for p in (store / SCANS).iterdir() if p.name not in own)
+    left = [path.name for path in left_in(store, {entry.folder for entry in entries})]
+    return files, [*left, *map(str, abandoned_beside(store.resolve()))]
+
+
+def left_in(store: Path, listed: Collection[str]) -> list[Path]:
+    """What is in a store's `scans` and in no list, but for what somebody is adding; sorted.
+
+    Args:
+        store: its folder.
+        listed: names of its scans.
+    """
+    return sorted(
+        path
+        for path in (store / SCANS).glob("*")
+        if path.name not in listed
+        and (not path.name.startswith(BESIDE) or not path.is_dir() or abandoned(path))
+    )
+
+
+def _clear_of_killed(store: Path, entries: Sequence[Entry]) -> None:
+    """Remove scans that are in no list, and those that a killed process did not finish.
+
+    Only while the store is locked: a scan that was added is in no list for a moment.
+    """
+    for path in left_in(store, {entry.folder for entry in entries}):
+        with contextlib.suppress(OSError):  # another user's: `verify` names it
+            if path.name.startswith(BESIDE):
+                remove_abandoned(path)
+            elif OF_A_SCAN.fullmatch(path.name):
+                _discard(path)
+
+
+def _beside(store: Path) -> Path:
+    return store / SCANS / f"{BESIDE}{secrets.token_hex(4)}"
 
 
 def folder_of(subject: str, expression: str, sha256: str) -> str:
@@ -261,24 +306,60 @@ def _named(store: Path, entries: Sequence[Entry]) -> dict[str, ScanEntry]:
     return {f"scan {entry.folder} of {store}": entry.scan for entry in entries}
 
 
+def record_release(store: Store, release: dict[str, Any]) -> None:
+    """Record in the lab which scans a release was made of: the release itself does not show it.
+
+    Args:
+        store: the lab's store, as it was read for the release.
+        release: where it is going to be, and its hash.
+
+    Raises:
+        DatasetError: scans that were removed since, whose release would be one of people who are
+            to be forgotten; a store that another process is changing.
+    """
+    open_store(store.path)  # for its messages, where there is none any more
+    with changing(store.path, RELEASE_LOCK_S):
+        left = {scan.sha256 for scan in open_store(store.path).scans}
+        gone = [scan for scan in store.scans if scan.sha256 not in left]
+        if gone:
+            raise DatasetError(
+                store.path,
+                found=f"a store from which {counted(len(gone), 'scan')} went while the release was "
+                "made of it",
+                expected="all scans of the release still in it",
+                hint="Publish again: the release is made of the scans that are left.",
+            )
+        line = {"utc": now_utc(), **release, "fingerprint": store.fingerprint}
+        append_line(store.path / RELEASES, {**line, "scans": [scan.sha256 for scan in store.scans]})
+
+
 @contextlib.contextmanager
-def _changing(store: Path) -> Iterator[None]:
+def changing(store: Path, wait_s: float | None = None) -> Iterator[None]:
+    """Be the only one who changes a store.
+
+    Args:
+        store: its folder.
+        wait_s: so long for whoever changes it now; `LOCK_S` where None.
+
+    Raises:
+        DatasetError: another process has been changing it for so long.
+    """
+    wait_s = LOCK_S if wait_s is None else wait_s
     busy = DatasetError(
         store,
-        found=f"a store that another process has been changing for {LOCK_S:g} s",
+        found=f"a store that another process has been changing for {wait_s:g} s",
         expected="one that is free",
         hint="Wait until that process has ended.",
     )
-    with locked(store / LOCK, busy, wait_s=LOCK_S):
+    with locked(store / LOCK, busy, wait_s=wait_s):
         yield
 
 
 def _discard(folder: Path) -> None:
     """Remove a scan's folder: in one step it is no scan any more."""
     away = folder.with_name(f"{BESIDE}{secrets.token_hex(4)}")
-    with contextlib.suppress(FileNotFoundError):
-        os.replace(folder, away)
-    shutil.rmtree(away, ignore_errors=True)
+    os.replace(folder, away)
+    shutil.rmtree(away)
 
 
 def _written(

@@ -10,93 +10,32 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
-import os
-import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.errors import FormatError
-from lightstage.formats.files import read_json, sha256_file, write_json
+from lightstage.formats.files import read_json, write_json
 from lightstage.formats.lock import locked
-from lightstage.formats.processed import ProcessedFolder
-from lightstage.formats.values import read_lines
-from processing.dataset.changes import BESIDE, folder_of, remove_scans
-from processing.dataset.contents import RELEASES, now_utc, scans_of_fingerprint
-from processing.dataset.links import require_no_links_out
-from processing.dataset.named import names_subject
-from processing.dataset.scan import DatasetError, scan_digest
-from processing.dataset.store import DATASET, PUBLISHED, SCANS, STORE, trace_of
+from processing.dataset.changes import changing, remove_scans
+from processing.dataset.contents import now_utc
+from processing.dataset.scan import DatasetError
+from processing.dataset.search import (
+    HALF_BUILT,
+    JOURNAL,
+    KINDS,
+    Found,
+    note_releases,
+    survey,
+    what_is_left,
+)
+from processing.dataset.store import DATASET
 from processing.errors import ProcessingError
 from processing.records import RUN_LOCK
 
 SCHEMA, PROOF_SCHEMA = "lightstage.forget/1", "lightstage.forgotten/1"
-SHARED = "calibration"
-"""A session's folder of what it has in common with other sessions."""
-NOT_SHOWN = frozenset(
-    ["", *(f".{n}" for n in ("json", "jsonl", "toml", "txt", "csv", "tsv", "html", "md", "log"))]
-)
-"""Suffixes of files that show nobody; all others do, since cameras name photographs in many ways. A
-copy of one elsewhere is the person's too."""
-LEFT_BESIDE = re.compile(r"\.(?P<stem>.+)\.[0-9a-f]{8}(\..+)?")
-JOURNAL = "journal.jsonl"
 LOCKS = (("session", JOURNAL, "capture"), ("processed folder", RUN_LOCK, "run"))
 """Kinds of folders, the file that who writes to one holds, and who that is."""
-BATCH_LISTS = ("batch.json", "batch.html")
-KINDS = ("session", "processed folder", "left by a killed process", "list of a batch", "copy")
-
-
-@dataclasses.dataclass
-class Found:
-    """What there is of a person in some folders.
-
-    Attributes:
-        removed: paths that go, by what they are (`KINDS`).
-        scans: by store, the names of the person's scans; `whole` where the store has no others.
-        whole: stores that go as a whole.
-        scan_sha256: of the person's scans, as stores and releases know them.
-        published: releases that held the person.
-        checkpoints: that were trained on a store that held the person.
-        hashes: SHA-256 of files that show the person, to their size.
-    """
-
-    removed: dict[str, list[str]] = dataclasses.field(default_factory=dict)
-    scans: dict[str, list[str]] = dataclasses.field(default_factory=dict)
-    whole: list[str] = dataclasses.field(default_factory=list)
-    scan_sha256: list[str] = dataclasses.field(default_factory=list)
-    published: list[dict[str, Any]] = dataclasses.field(default_factory=list)
-    checkpoints: list[str] = dataclasses.field(default_factory=list)
-    hashes: dict[str, int] = dataclasses.field(default_factory=dict)
-
-    @property
-    def empty(self) -> bool:
-        """Whether nothing is to be removed."""
-        return not (any(self.removed.values()) or self.scans or self.whole)
-
-    def add(self, kind: str, path: Path) -> None:
-        """Note a path that goes."""
-        listed = self.removed.setdefault(kind, [])
-        if str(path) not in listed:
-            listed.append(str(path))
-
-    def joined(self, other: Found) -> Found:
-        """What both know: an interrupted call's plan, and what is there now."""
-        both = Found(whole=sorted({*self.whole, *other.whole}))
-        for kind in KINDS:
-            for path in (*self.removed.get(kind, []), *other.removed.get(kind, [])):
-                both.add(kind, Path(path))
-        for store in {**self.scans, **other.scans}:
-            both.scans[store] = other.scans.get(store, [])
-        both.scan_sha256 = sorted({*self.scan_sha256, *other.scan_sha256})
-        known = {str(each["out"]) + str(each["utc"]): each for each in self.published}
-        both.published = list(
-            (known | {str(e["out"]) + str(e["utc"]): e for e in other.published}).values()
-        )
-        both.checkpoints = sorted({*self.checkpoints, *other.checkpoints})
-        both.hashes = {**self.hashes, **other.hashes}
-        return both
 
 
 def plan_path(out: Path, subject: str) -> Path:
@@ -104,231 +43,37 @@ def plan_path(out: Path, subject: str) -> Path:
     return out / f"forget-{hashlib.sha256(subject.encode()).hexdigest()[:12]}.json"
 
 
-def survey(
-    subject: str, folders: Sequence[Path], hashed: bool, progress: ProgressCallback = quiet
-) -> Found:
-    """Find everything of a person, and change nothing.
+def search(
+    subject: str,
+    folders: Sequence[Path],
+    out: Path,
+    hashed: bool,
+    progress: ProgressCallback = quiet,
+) -> tuple[str, Found]:
+    """What there is of a person, with what an interrupted call has in its plan.
 
     Args:
         subject: the pseudonym.
-        folders: where to search, with all that is in them.
-        hashed: hash every file that shows the person; otherwise only those that a file of the same
-            size elsewhere may be a copy of.
+        folders: where to search.
+        out: folder of the plan.
+        hashed: see `survey`.
         progress: called after each of the person's folders.
 
+    Returns:
+        When the removal began, and what was found.
+
     Raises:
-        DatasetError: a folder that is not there, or links that lead out of them.
-        FormatError: a file of ours that cannot be read, so that its person is not known.
+        DatasetError: no person of this pseudonym; what `survey` raises.
     """
-    for folder in folders:
-        if not folder.is_dir():
-            raise DatasetError(folder, field="--in", found="no such folder", expected="a folder")
-    require_no_links_out(folders)
-    found = Found()
-    others: list[Path] = []
-    processed: list[Path] = []
-    stores: list[Path] = []
-    half_built: list[Path] = []
-    checkpoints: list[tuple[Path, Any]] = []
-    for path, names in _walked(folders):
-        kind = _kind(path, names)
-        if kind in ("session", "processed folder"):
-            whose = _subject(path, names)
-            if whose == subject:
-                found.add(kind, path)
-            elif kind == "processed folder":
-                processed.append(path)
-        elif kind == STORE:
-            stores.append(path)
-        elif kind == "checkpoint":
-            checkpoints.append((path, read_json(path / "checkpoint.json")))
-        if BATCH_LISTS[0] in names and names_subject(path / BATCH_LISTS[0], subject):
-            for name in BATCH_LISTS:
-                if (path / name).exists():
-                    found.add("list of a batch", path / name)
-        if kind is None:
-            others += [path / name for name in names]
-            if LEFT_BESIDE.fullmatch(path.name) and (path / SCANS).is_dir():
-                half_built.append(path)
-    own = [Path(p) for kind in KINDS[:2] for p in found.removed.get(kind, [])]
-    for path in own:
-        for beside in path.parent.glob(".*"):
-            match = LEFT_BESIDE.fullmatch(beside.name)
-            if match and match["stem"] == path.name:
-                found.add("left by a killed process", beside)
-    _of_stores(subject, stores, half_built, own, found)
-    _holders(stores, checkpoints, found)
-    _hash_own(own, others, found, hashed, progress)
-    _leave_common(processed, found)
-    _copies(others, found)
-    return found
-
-
-def _walked(folders: Sequence[Path]) -> Iterator[tuple[Path, list[str]]]:
-    """Every folder with the names of its files; what is in one of ours belongs to it."""
-    seen: set[Path] = set()
-    for folder in folders:
-        for root, below, names in os.walk(folder.resolve()):
-            path = Path(root)
-            if path in seen:
-                below[:] = []
-                continue
-            seen.add(path)
-            below.sort()
-            yield path, sorted(names)
-            if _kind(path, names) in ("session", "processed folder", STORE, PUBLISHED):
-                below[:] = []
-
-
-def _kind(path: Path, names: Sequence[str]) -> str | None:
-    """What a folder is by the files in it; None for what is none of ours."""
-    if "session.json" in names or JOURNAL in names:
-        return "session"
-    if DATASET in names:
-        kind = _text(read_json(path / DATASET), "kind")
-        return kind if kind in (STORE, PUBLISHED) else None
-    if "stages.json" in names or "report.json" in names:
-        return "processed folder"
-    return "checkpoint" if "checkpoint.json" in names else None
-
-
-def _subject(path: Path, names: Sequence[str]) -> str | None:
-    """Whose session or processed folder it is; None where it does not state it."""
-    if "session.json" in names:
-        return _text(read_json(path / "session.json"), "subject")
-    if JOURNAL in names:
-        lines = read_lines(path / JOURNAL)
-        return next((_text(line, "subject") for line in lines if _text(line, "subject")), None)
-    subject = None
-    if "stages.json" in names:
-        value = read_json(path / "stages.json")
-        if not isinstance(value, dict):
-            raise FormatError(
-                path / "stages.json",
-                found=type(value).__name__,
-                expected="a JSON object that names whose the folder is",
-                hint="If the folder is nobody's, remove the file.",
-            )
-        subject = _text(value.get("made_from"), "subject")
-    if subject is None and "report.json" in names:
-        subject = _text(read_json(path / "report.json"), "subject")
-    return subject
-
-
-def _text(value: Any, key: str) -> str | None:
-    text = value.get(key) if isinstance(value, dict) else None
-    return text if isinstance(text, str) else None
-
-
-def _of_stores(
-    subject: str, stores: list[Path], half_built: list[Path], own: list[Path], found: Found
-) -> None:
-    scans = [(_expression(path), _scan_sha256(path)) for path in own]
-    listed: dict[Path, set[str]] = {}
-    for store in stores:
-        entries = read_json(store / DATASET).get("scans", [])
-        theirs = [entry for entry in entries if _text(entry, "subject") == subject]
-        scans += [(_text(entry, "expression"), _text(entry, "sha256")) for entry in theirs]
-        if theirs and len(theirs) == len(entries):
-            found.whole.append(str(store))
-        elif theirs:
-            found.scans[str(store)] = [str(entry.get("folder", "")) for entry in theirs]
-        listed[store] = {str(entry.get("folder", "")) for entry in entries}
-    found.scan_sha256 = sorted({digest for _, digest in scans if digest})
-    # A scan has the same name in every store. One that was being written has none yet.
-    names = {folder_of(subject, kind or "", digest) for kind, digest in scans if digest}
-    for path in (path for store in stores for path in sorted((store / SCANS).glob("*"))):
-        unlisted = path.name in names - listed[path.parents[1]]
-        if unlisted or (names and path.name.startswith(BESIDE)):
-            found.add("left by a killed process", path)
-    for folder in half_built:
-        if any(path.name in names for path in (folder / SCANS).iterdir()):
-            found.add("left by a killed process", folder)
-
-
-def _scan_sha256(processed: Path) -> str | None:
-    """SHA-256 of the scan that a store has of a folder; None where it has no atlas."""
-    try:
-        return scan_digest(ProcessedFolder(processed))
-    except OSError:
-        return None
-
-
-def _expression(processed: Path) -> str | None:
-    path = processed / "report.json"
-    return _text(read_json(path), "expression") if path.is_file() else None
-
-
-def _holders(stores: list[Path], checkpoints: list[tuple[Path, Any]], found: Found) -> None:
-    """Releases and checkpoints that held the person, by the stores' records."""
-    theirs = set(found.scan_sha256)
-    held: set[str] = set()
-    for store in stores:
-        for fingerprint, scans in scans_of_fingerprint(store).items():
-            if scans & theirs:
-                held.add(fingerprint)
-        value = read_json(store / DATASET)
-        if any(_text(scan, "sha256") in theirs for scan in value.get("scans", [])):
-            held.add(str(value.get("fingerprint")))
-        for line in read_lines(store / RELEASES) if (store / RELEASES).is_file() else []:
-            if isinstance(line, dict) and theirs & set(line.get("scans", [])):
-                found.published.append({k: v for k, v in line.items() if k != "scans"})
-    traces = theirs | {trace_of(digest) for digest in theirs}
-    for path, value in checkpoints:
-        # Also of a run that began with another's weights, in a store without the person.
-        known = value.get("trained_on") if isinstance(value, dict) else None
-        trained = isinstance(known, list) and traces & set(map(str, known))
-        if trained or _text(value, "data_fingerprint") in held:
-            found.checkpoints.append(str(path))
-    found.checkpoints.sort()
-
-
-def _hash_own(
-    own: list[Path],
-    others: list[Path],
-    found: Found,
-    hashed: bool,
-    progress: ProgressCallback,
-) -> None:
-    """Hash what shows the person; without `hashed` only what may have a copy elsewhere."""
-    sizes = {path.stat().st_size for path in others if path.is_file()}
-    for index, folder in enumerate(own):
-        for path in personal_files(folder):
-            size = path.stat().st_size
-            if size and (hashed or size in sizes):
-                found.hashes[sha256_file(path)] = size
-        progress(index + 1, len(own))
-
-
-def _leave_common(processed: list[Path], found: Found) -> None:
-    """Forget hashes of files that other people's processed folders have too: they show nobody."""
-    sizes = set(found.hashes.values())
-    for folder in processed:
-        for path in personal_files(folder):
-            if path.stat().st_size in sizes:
-                found.hashes.pop(sha256_file(path), None)
-
-
-def _copies(others: list[Path], found: Found) -> None:
-    """Find the same bytes in folders that are none of ours: what a card left, a copy."""
-    gone = {Path(p) for paths in found.removed.values() for p in paths}
-    sizes = set(found.hashes.values())
-    for path in others:
-        if path.suffix.lower() in NOT_SHOWN or gone & {path, *path.parents}:
-            continue
-        if path.is_file() and path.stat().st_size in sizes and sha256_file(path) in found.hashes:
-            found.add("copy", path)
-
-
-def personal_files(folder: Path) -> list[Path]:
-    """Files of a session or processed folder that show its person."""
-    return sorted(
-        path
-        for path in folder.rglob("*")
-        if path.suffix.lower() not in NOT_SHOWN
-        and path.is_file()
-        and SHARED not in path.relative_to(folder).parts
-    )
+    plan = plan_path(out, subject)
+    if not plan.is_file():
+        found = survey(subject, folders, hashed, progress)
+        require_somebody(subject, folders, found)
+        return now_utc(), found
+    value = read_json(plan, SCHEMA)
+    begun = Found(**value["found"])
+    found = begun.joined(survey(subject, folders, hashed, progress, begun))
+    return str(value["begun_utc"]), found
 
 
 def forget(
@@ -352,13 +97,7 @@ def forget(
         DatasetError: no person of this pseudonym; ProcessingError: a folder that is in use.
     """
     plan = plan_path(out, subject)
-    found = survey(subject, folders, True)
-    begun = now_utc()
-    if plan.is_file():
-        value = read_json(plan, SCHEMA)
-        begun = str(value["begun_utc"])
-        found = Found(**value["found"]).joined(found)
-    require_somebody(subject, folders, found)
+    begun, found = search(subject, folders, out, True)
     where = out.resolve()
     for path in [p for each in found.removed.values() for p in each] + found.whole:
         if where.is_relative_to(path):
@@ -396,13 +135,18 @@ def forget(
 def require_somebody(subject: str, folders: Sequence[Path], found: Found) -> None:
     """Refuse a pseudonym of which there is nothing."""
     if found.empty:
+        half = [f"; {path} is half-built, of nobody knows whom" for path in _half_built(found)]
         raise DatasetError(
             "dataset forget",
             field="SUBJECT",
-            found=f"nothing of {subject!r} in {', '.join(map(str, folders))}",
+            found=f"nothing of {subject!r} in {', '.join(map(str, folders))}{''.join(half)}",
             expected="the pseudonym of somebody who is there",
             hint="Check for a typing error, or name more folders with --in.",
         )
+
+
+def _half_built(found: Found) -> list[str]:
+    return found.removed.get(HALF_BUILT, [])
 
 
 def _remove(found: Found, progress: ProgressCallback) -> None:
@@ -424,9 +168,16 @@ def _remove(found: Found, progress: ProgressCallback) -> None:
                     hint=f"Wait until that {who} has ended, and call this again.",
                 )
                 stack.enter_context(locked(path / lock, busy))
+        for whole in map(Path, found.whole):
+            if (whole / DATASET).is_file():
+                stack.enter_context(changing(whole))
+                note_releases(whole, found)
         for store, names in found.scans.items():
             if names:
                 remove_scans(Path(store), names)
+            if (Path(store) / DATASET).is_file():
+                # Also those that were recorded since it was searched; no later one has the scans.
+                note_releases(Path(store), found)
             done += 1
             progress(done, total)
         for path in paths:
@@ -436,49 +187,6 @@ def _remove(found: Found, progress: ProgressCallback) -> None:
                 path.unlink(missing_ok=True)
             done += 1
             progress(done, total)
-
-
-def what_is_left(
-    subject: str, folders: Sequence[Path], found: Found, plan: Path
-) -> dict[str, list[str]]:
-    """Files that show the person, by their hash, or name the person, by the pseudonym.
-
-    Args:
-        subject: the pseudonym, searched for as a word in names of files and in text.
-        folders: where to search.
-        found: what was removed.
-        plan: skipped: it names who is to be forgotten.
-
-    Returns:
-        `by_hash` and `by_pseudonym`: paths.
-    """
-    sizes = set(found.hashes.values())
-    left: dict[str, list[str]] = {"by_hash": [], "by_pseudonym": []}
-    seen: set[Path] = set()
-    recorded: dict[Path, str] = {}
-    for folder in folders:
-        for path in sorted(folder.resolve().rglob("*")):
-            if path in seen or path == plan.resolve() or path.name.startswith("forgotten-"):
-                continue
-            seen.add(path)
-            if names_subject(path, subject):
-                left["by_pseudonym"].append(str(path))
-            if path.is_dir() and (path / "session.json").is_file():
-                recorded |= _recorded(path)
-            plain = path.is_file() and not path.is_symlink()
-            if not (plain and path.stat().st_size in sizes):
-                continue
-            if (recorded.get(path) or sha256_file(path)) in found.hashes:
-                left["by_hash"].append(str(path))
-    return left
-
-
-def _recorded(session: Path) -> dict[Path, str]:
-    """Hashes of a session's photographs as it has them: RAW files of all people are of one size."""
-    value = read_json(session / "session.json")
-    frames = value.get("frames") if isinstance(value, dict) else None
-    named = [(_text(f, "path"), _text(f, "sha256")) for f in frames or []]
-    return {session / path: digest for path, digest in named if path and digest}
 
 
 def found_in_words(found: Found) -> list[str]:

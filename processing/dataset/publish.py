@@ -28,8 +28,9 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
 from lightstage.formats.files import atomic_folder, sha256_file, write_json
 from processing.dataset.about import About
+from processing.dataset.changes import record_release
 from processing.dataset.config import PublishConfig
-from processing.dataset.contents import RELEASES, Entry, append_line, now_utc, read_entries
+from processing.dataset.contents import Entry, read_entries
 from processing.dataset.croissant import write_croissant
 from processing.dataset.datasheet import write_datasheet
 from processing.dataset.groups import people_tables
@@ -82,7 +83,7 @@ def publish(
 
     Raises:
         DatasetError: a scan without a consent record, a patch that shows too much of a face, no
-            patch with enough skin, or `out` is in the store.
+            patch with enough skin, `out` is in the store, or scans that left the store meanwhile.
     """
     config = config or PublishConfig()
     if out.resolve().is_relative_to(store.path.resolve()):
@@ -144,28 +145,9 @@ def publish(
         write_croissant(beside, about, facts, config.form, day)
         write_checksums(beside)
         give_one_time(beside)
-        record_release(store, out, beside)
+        digest = sha256_file(beside / DATASET)
+        record_release(store, {"out": str(out.resolve()), "dataset_sha256": digest})
     return out
-
-
-def record_release(store: Store, out: Path, folder: Path) -> None:
-    """Record in the lab which scans a release was made of: the release itself does not show it.
-
-    Args:
-        store: the lab's store.
-        out: where the release is going to be.
-        folder: where it is now.
-    """
-    append_line(
-        store.path / RELEASES,
-        {
-            "utc": now_utc(),
-            "out": str(out.resolve()),
-            "dataset_sha256": sha256_file(folder / DATASET),
-            "fingerprint": store.fingerprint,
-            "scans": [scan.sha256 for scan in store.scans],
-        },
-    )
 
 
 def published_places(store: Store, layout: Layout, most_face: float) -> list[Place]:

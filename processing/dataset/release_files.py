@@ -34,6 +34,7 @@ AXES = ("patch", "row", "column", "channel")
 FORMS = ("zarr", "webdataset")
 TAR_PATCHES = 256
 """Patches of a tar."""
+TARS = "patches-*.tar"
 FILE_TIME_S = 315532800
 """Time of all files and folders of a release: 1980, the first day that every archive can write."""
 CHECKSUMS, CHECKSUMS_SCHEMA = "checksums.json", "lightstage.checksums/1"

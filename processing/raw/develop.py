@@ -14,6 +14,7 @@ from processing.colour import ColourCorrection
 from processing.frames.drafts import NOT_A_NUMBER
 from processing.frames.window import Window
 from processing.raw.bayer import CLIP_REACH, REACH, SIDE
+from processing.raw.hot_pixels import mend
 from processing.raw.mosaic import develop_mosaic, development
 from processing.raw.raw_file import RawFile
 
@@ -111,29 +112,15 @@ def _as_read(
 
 
 def _mend(raw: RawFile, hot: np.ndarray, window: Window) -> None:
-    """Replace hot pixels by the median of the four nearest of their colour, in place.
-
-    Neighbours that are hot themselves do not count, unless all are.
-    """
+    """Replace the hot pixels that a window reaches, in place."""
     near = (
         (hot[:, 0] >= window.top - REACH)
         & (hot[:, 0] < window.top + window.height + REACH)
         & (hot[:, 1] >= window.left - REACH)
         & (hot[:, 1] < window.left + window.width + REACH)
-        & (hot < np.array(raw.size)).all(axis=1)
     )
-    known = set(map(tuple, hot.tolist()))
-    for row, column in hot[near].tolist():
-        around = [
-            (row + down, column + right)
-            for down, right in ((-2, 0), (2, 0), (0, -2), (0, 2))
-            if 0 <= row + down < raw.size[0] and 0 <= column + right < raw.size[1]
-        ]
-        top, left = raw.origin
-        sound = [place for place in around if place not in known] or around
-        values = [raw.counts[top + r, left + c] for r, c in sound]
-        if values:
-            raw.counts[top + row, left + column] = int(np.median(values))
+    (top, left), (height, width) = raw.origin, raw.size
+    mend(raw.counts[top : top + height, left : left + width], hot, near)
 
 
 def _three(

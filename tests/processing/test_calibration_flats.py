@@ -207,3 +207,22 @@ def test_a_camera_on_its_side_has_its_flat_where_the_sensor_reads_it(orientation
     np.testing.assert_array_equal(field.hot_pixels, [(7, 9)])
     even = flattened(upright, dataclasses.replace(field, black_offset=None)).cells()
     np.testing.assert_allclose(even / even.mean(axis=(0, 1)), 1, atol=0.002)
+
+
+@pytest.mark.parametrize("orientation", [1, 6])
+def test_hot_pixels_are_mended_where_chart_and_balls_are_read(orientation):
+    """One alone, one in a corner, and two that are neighbours of one colour."""
+    plain = mosaic(card(noise=0.0))
+    hot = np.array([(7, 9), (0, 0), (100, 101), (102, 101)])
+    level, clipped = plain.level.copy(), plain.clipped.copy()
+    level[tuple(hot.T)] = 1
+    clipped[tuple(hot.T)] = True
+    clipped[40:60, 40:60] = True
+    hot = np.vstack([hot, [(50, 50)]])
+    field = dataclasses.replace(FlatField.even(CAMERA), hot_pixels=hot)
+    bad = dataclasses.replace(plain, level=level, clipped=clipped).upright(OF_TIFF[orientation])
+    made = flattened(bad, field).as_read()
+    np.testing.assert_allclose(made.level, plain.level, rtol=0.02)
+    np.testing.assert_array_equal(np.argwhere(made.clipped).min(axis=0), (40, 40))
+    np.testing.assert_array_equal(np.argwhere(made.clipped).max(axis=0), (59, 59))
+    assert made.clipped[50, 50]

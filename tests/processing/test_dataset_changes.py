@@ -137,7 +137,7 @@ def test_what_a_killed_process_left_is_no_scan_and_stops_nothing(
     assert len(open_store(store).scans) == 1
     assert verify_store(store)[1] == [".adding-01234567", orphan]
     assert add_scan(store, people[1]) == orphan
-    assert verify_store(store)[1] == [".adding-01234567"]
+    assert verify_store(store)[1] == []
 
 
 def test_a_changed_a_missing_and_a_foreign_file_are_named(

@@ -14,7 +14,7 @@ import pytest
 
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.files import write_json
-from lightstage.formats.lock import locked
+from lightstage.formats.lock import being_filled, locked
 from processing.dataset import PublishConfig, build_store, forget, open_store, verify_store
 from processing.dataset.named import names_subject
 from processing.records import RUN_LOCK
@@ -113,7 +113,7 @@ def test_everything_of_a_person_goes_and_nothing_of_another(
     }
     ended = command(WHO, "--in", lab, "--out", tmp_path / "office", "--yes")
     assert ended.code == 0, ended.err
-    assert names_in(lab) - {"store/store.lock"} == expected
+    assert names_in(lab) == expected
     assert [s.subject for s in open_store(lab / "store").scans] == ["person-0", "person-2"]
     proofs = list((tmp_path / "office").iterdir())
     assert len(proofs) == 1
@@ -164,6 +164,83 @@ def test_scans_that_killed_processes_left_in_no_list_go_too(lab: Path, tmp_path:
     assert not left[2].parents[1].exists()
     assert [s.subject for s in open_store(other).scans] == ["person-0"]
     assert verify_store(other)[1] == []
+
+
+def test_a_call_killed_among_the_scans_goes_on_where_the_store_alone_knew_the_person(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for own in ("S/s1", "P/p1"):
+        shutil.rmtree(lab / own)
+    scan = next(s.folder for s in open_store(lab / "store").scans if s.subject == WHO)
+
+    def killed(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as at:
+        at.setattr("processing.dataset.changes._discard", killed)
+        with pytest.raises(KeyboardInterrupt):
+            forget.forget(WHO, [lab], tmp_path / "office")
+    assert (lab / "store" / "scans" / scan).is_dir()
+    assert [s.subject for s in open_store(lab / "store").scans] == ["person-0", "person-2"]
+    listed = forget.search(WHO, [lab], tmp_path / "office", hashed=False)[1]
+    assert listed.removed["left by a killed process"] == [str(lab / "store" / "scans" / scan)]
+    forget.forget(WHO, [lab], tmp_path / "office")
+    assert not (lab / "store" / "scans" / scan).exists()
+    assert verify_store(lab / "store")[1] == []
+
+
+def test_half_built_stores_and_releases_of_nobody_knows_whom_go_with_anybody(
+    lab: Path, tmp_path: Path
+) -> None:
+    half = [
+        lab / ".new store.0123abcd" / "scans" / ("0" * 16),
+        lab / ".PUB.0123abcd" / "diffuse_albedo",
+        lab / ".TARS.0123abcd",
+        lab / "store" / "scans" / ("1" * 16),
+    ]
+    for folder in half:
+        folder.mkdir(parents=True)
+    (half[2] / "patches-000000.tar").write_bytes(b"patches")
+    shutil.copytree(lab / "published", lab / ".published.0123abcd.old")
+    with pytest.raises(LightstageError, match=r"TARS\.0123abcd is half-built, of nobody"):
+        forget.forget("person-9", [lab], tmp_path / "office")
+    assert all(folder.exists() for folder in half)
+    forget.forget(WHO, [lab], tmp_path / "office")
+    assert not any(folder.exists() for folder in half)
+    assert not list(lab.glob(".*"))
+    assert (lab / "published").is_dir()
+
+
+@pytest.mark.parametrize("place", [".new store.0123abcd", "store/scans/.adding-0123abcd"])
+def test_a_store_that_is_being_made_stops_it_before_anything_goes(
+    lab: Path, tmp_path: Path, place: str
+) -> None:
+    with being_filled(lambda: lab / place) as folder:
+        (folder / "scans").mkdir()
+        before = names_in(lab)
+        with pytest.raises(LightstageError, match="that another process is making"):
+            forget.forget(WHO, [lab], tmp_path / "office")
+        assert names_in(lab) == before
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_release_that_was_recorded_after_the_search_is_in_the_proof(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: bool
+) -> None:
+    own = build_store([lab / "P" / "p1"], lab / "own store") if whole else lab / "store"
+    survey = forget.survey
+
+    def published_after(*args: Any, **more: Any) -> Any:
+        found = survey(*args, **more)
+        if not (lab / "late").exists():
+            publish(open_store(own), lab / "late", config=PublishConfig(patch_px=4))
+        return found
+
+    monkeypatch.setattr(forget, "survey", published_after)
+    _, _, proof = forget.forget(WHO, [lab], tmp_path / "office")
+    published = json.loads(proof.read_text())["published"]
+    assert str(lab / "late") in [each["out"] for each in published]
+    assert len(published) == 2
 
 
 @pytest.mark.parametrize("by", ["trace", "sha256"])

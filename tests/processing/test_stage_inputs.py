@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from lightstage.formats.session import load_session
+from lightstage.formats.session import Session, SessionFile, load_session, save_session
 from lightstage.formats.template import default_template_path
-from processing.pipeline import read_job, run, why
+from processing.pipeline import is_reported, read_job, run, run_next, why
 from processing.pipeline_config import PipelineConfig
 from processing.reachable import ROOT, reachable_files
 from processing.reconstruction.config import ReconstructConfig
@@ -226,3 +226,63 @@ def test_records_of_an_older_version_report_it(session: Path, tmp_path: Path) ->
     path.write_text(json.dumps(value))
     job = read_job(session, out, template, PipelineConfig(), "decode")
     assert "an older version ran it" in str(why(job, "decode")["decode"])
+
+
+def with_field(session: Path, place: str, value: Any) -> Session:
+    """The session with one field of session.json set, such as `frames.0.path`."""
+    loaded = load_session(session)
+    content = loaded.file.model_dump(by_alias=True)
+    *way, last = place.split(".")
+    at: Any = content
+    for name in way:
+        at = at[int(name)] if isinstance(at, list) else at[name]
+    at[int(last) if isinstance(at, list) else last] = value
+    file = SessionFile.model_validate(content)
+    save_session(session, file)
+    return Session(session, file, loaded.rig)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "counts"),
+    [
+        ("consent", "C-0002", False),
+        ("expression", "smile", False),
+        ("created_utc", "2031-01-01T00:00:00+00:00", False),
+        ("accepted", {"x+": []}, False),
+        ("frames.0.take", 2, False),
+        ("frames.0.acknowledged", False, False),
+        ("sequence.0", "x-", True),
+        ("frames.0.path", "frames/other.exr", True),
+        ("frames.0.sha256", "0" * 64, True),
+        ("frames.0.pattern", "x-", True),
+        ("frames.0.camera", "cam1", True),
+        ("frames.0.encoding", "raw", True),
+        ("patterns.full", {"levels": [0.5]}, True),
+        ("calibration.colour", "rig.json", True),
+        ("calibration.lights", "rig.json", True),
+        ("calibration.flats", "rig.json", True),
+    ],
+)
+def test_of_session_json_the_fields_count_that_a_stage_reads(
+    session: Path, place: str, value: Any, counts: bool
+) -> None:
+    before = stage_inputs(load_session(session), PipelineConfig(), "", {})
+    after = stage_inputs(with_field(session, place, value), PipelineConfig(), "", {})
+    assert (before["decode"].parts != after["decode"].parts) == counts
+    assert (before["atlas"].key != after["atlas"].key) == counts
+
+
+def test_another_consent_is_reported_and_runs_no_stage(session: Path, tmp_path: Path) -> None:
+    out, template, path = tmp_path / "out", default_template_path(), session / "session.json"
+    run(session, out, template, PipelineConfig(), until="decode")
+    path.write_text(json.dumps({**json.loads(path.read_text()), "consent": "C-0002"}, indent=3))
+    job = read_job(session, out, template, PipelineConfig(), "decode")
+    assert why(job, "decode") == {"decode": None}
+    assert not is_reported(job, "decode")
+    assert run_next(job, "decode") == (None, [])
+    assert json.loads((out / "report.json").read_text())["consent"] == "C-0002"
+    assert is_reported(job, "decode")
+    path.write_text(json.dumps({**json.loads(path.read_text()), "expression": "smile"}))
+    (out / "report.html").write_text("old")
+    assert run(session, out, template, PipelineConfig(), until="decode")["ran"] == []
+    assert "smile" in (out / "report.html").read_text()

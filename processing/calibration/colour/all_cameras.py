@@ -189,7 +189,8 @@ def _look(pose: Pose, camera: Camera, field: FlatField | None, chart: ChartConfi
     path = pose.photograph(camera.id)
     mosaic = read_mosaic(path, chart.clip_share)
     _require_size(path, mosaic, camera)
-    view = find_chart(flattened(mosaic, field).cells(), mosaic.clipped_cells())
+    mosaic = flattened(mosaic, field)
+    view = find_chart(mosaic.cells(), mosaic.clipped_cells())
     if view is None:
         return None
     places, normal = chart_places_mm(view, camera, chart.pitch_mm)

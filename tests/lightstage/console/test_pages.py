@@ -17,7 +17,8 @@ EVIL = '<script>alert(1)</script>"><img src=x onerror=alert(2)>'
 
 
 def write_session(root: Path, dng: bytes | None = None, **begin: object) -> Path:
-    """A finished session of two photographs, as its journal tells it."""
+    """A finished session of two photographs; with `dng`, the second leads out of its folder."""
+    second = "frames/x+/cam0.dng" if dng is None else "../../secret.dng"
     lines: list[dict] = [
         {
             "event": "begin", "schema": "lightstage.journal/2", "session": "s1", "subject": "P1",
@@ -28,7 +29,7 @@ def write_session(root: Path, dng: bytes | None = None, **begin: object) -> Path
         {"event": "frame", "pattern": "full", "camera": "cam0", "take": 1, "sha256": "a",
          "path": "frames/full/cam0.dng"},
         {"event": "frame", "pattern": "x+", "camera": "cam0", "take": 1, "sha256": "b",
-         "path": "../../secret.dng"},
+         "path": second},
         {"event": "finding", "severity": "warn", "code": "x", "where": EVIL, "found": EVIL,
          "expected": EVIL, "hint": EVIL},
         {"event": "end", "frames": 2},
@@ -36,9 +37,8 @@ def write_session(root: Path, dng: bytes | None = None, **begin: object) -> Path
     root.mkdir(parents=True)
     text = "".join(json.dumps({"id": n, **line}) + "\n" for n, line in enumerate(lines, 1))
     (root / "journal.jsonl").write_text(text)
-    if dng is not None:
-        write_bytes(root / "frames" / "full" / "cam0.dng", dng)
-        write_bytes(root.parents[1] / "secret.dng", dng)
+    for path in ("frames/full/cam0.dng", second):
+        write_bytes((root / path).resolve(), dng or b"light")
     return root
 
 

@@ -34,8 +34,15 @@ END = {"event": "end", "frames": 4, "capture": {"accepted": 1}}
 FRAME = {"event": "frame", "pattern": "full", "camera": "cam0", "take": 1, "path": "frames/a"}
 
 
+def write_photographs(root: Path, *paths: str) -> None:
+    (root / "frames").mkdir()
+    for path in paths:
+        (root / path).write_bytes(b"light")
+
+
 def test_each_state_follows_from_the_journal_alone(tmp_path: Path) -> None:
     write_journal(tmp_path / "whole", FRAME, END)
+    write_photographs(tmp_path / "whole", FRAME["path"])
     write_journal(
         tmp_path / "stopped", FRAME, {"event": "aborted", "said": "x"}, began="2031-05-07"
     )
@@ -57,9 +64,39 @@ def test_each_state_follows_from_the_journal_alone(tmp_path: Path) -> None:
 
 def test_a_session_of_very_many_levels_is_whole(tmp_path: Path) -> None:
     root = write_journal(tmp_path / "S", FRAME, END)
+    write_photographs(root, FRAME["path"])
     begin, rest = (root / "journal.jsonl").read_text().split("\n", 1)
     many = json.dumps(json.loads(begin) | {"levels": {"olat-000": [0.0] * (1 << 20)}})
     (root / "journal.jsonl").write_text(f"{many}\n{rest}")
+    assert seen_session(root).state == "whole"
+
+
+@pytest.mark.parametrize("imported", [False, True])
+def test_a_session_that_ended_is_damaged_where_a_photograph_went_or_was_cut_since(
+    tmp_path: Path, run_command, imported: bool
+) -> None:
+    taken = [
+        {**FRAME, "take": take, "path": f"frames/{take}", "size": 5, "camera": camera}
+        for camera, take in (("cam0", 1), ("cam0", 2), ("cam0", 3), ("cam1", 4))
+    ]
+    rejected = {**FRAME, "event": "rejected", "take": 3}
+    root = write_journal(tmp_path / "S", *taken, rejected, *([] if imported else [END]))
+    if imported:
+        text = (root / "journal.jsonl").read_text()
+        (root / "journal.jsonl").write_text(text.replace('"led_device"', '"imported"'))
+        (root / "session.json").write_text("{}")
+    write_photographs(root, "frames/2", "frames/4")  # 1 and 3 do not count
+    assert seen_session(root).state == "whole"
+    (root / "frames" / "2").write_bytes(b"lig")
+    seen = seen_session(root)
+    assert (seen.state, seen.kept, seen.wanted, seen.subject) == ("damaged", 3, 4, "P1")
+    (root / "frames" / "4").unlink()
+    seen = seen_session(root)
+    assert (seen.state, seen.kept) == ("damaged", 2)
+    assert "found frames/2 and 1 other missing or of another size" in seen.said
+    assert "X damaged, 2 of 4" in run_command("lightstage", "sessions", str(root)).out
+    for name in ("2", "4"):
+        (root / "frames" / name).write_bytes(b"light")
     assert seen_session(root).state == "whole"
 
 
