@@ -5,12 +5,13 @@ A stage whose inputs, options and code are those of the last run is skipped.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from learning.photo.avatar_page import write_avatar_page
 from learning.photo.command import FIT, FitRequest, fit_command
 from learning.photo.command import OWN as OF_FIT
 from lightstage.commands import ProgressCallback
-from lightstage.errors import ConfigError
+from lightstage.errors import ConfigError, DiskError
 from lightstage.formats.exr import read_half_exr
 from lightstage.formats.files import (
     others_below,
@@ -37,6 +38,7 @@ from lightstage.formats.files import (
     sha256_file,
     write_json,
 )
+from lightstage.formats.lock import locked
 from lightstage.formats.processed import ProcessedFolder
 
 SCHEMA = "lightstage.avatar/1"
@@ -45,6 +47,8 @@ KEYS = (*STAGES, "maps")
 """What the record has: of each stage, and of a captured head's maps."""
 RECORD, PAGE = "avatar.json", "avatar.html"
 """What each stage was made of, by hash; and the page that shows what there is."""
+LOCK = "avatar.lock"
+"""Held while an avatar is made; the empty file stays."""
 MARKS = {"fit": FIT, "detail": ABOUT, "export": README}
 """A file that a stage's folder holds."""
 OWN = {"fit": OF_FIT, "detail": OF_DETAIL, "export": OF_EXPORT}
@@ -87,7 +91,7 @@ def avatar_command(
     if maps is not None:
         _require_no_fit_options(request)
     out = request.out
-    others = others_in(out, [RECORD, PAGE, *stages])
+    others = others_in(out, [RECORD, PAGE, LOCK, *stages])
     if others:
         raise MapsError(
             out,
@@ -96,6 +100,50 @@ def avatar_command(
             expected="a new folder, or one that avatar made, of photographs or of maps as now",
             hint="Choose another --out.",
         )
+    with _alone(out):
+        facts = _made_of(request, stages, until, formats, bar, maps)
+    return {**facts, "seconds": time.monotonic() - began}
+
+
+@contextlib.contextmanager
+def _alone(out: Path) -> Iterator[None]:
+    """Keep other calls out of the folder within the block; one that makes nothing leaves nothing.
+
+    On a disk that cannot lock files nothing keeps others out.
+
+    Raises:
+        MapsError: another call writes there.
+    """
+    was_there = out.exists()
+    busy = MapsError(
+        out,
+        field="--out",
+        found="another avatar that is made there now",
+        expected="a folder of this one's own",
+        hint="Wait until it ends, or choose another --out.",
+    )
+    with contextlib.ExitStack() as held:
+        with contextlib.suppress(DiskError):
+            held.enter_context(locked(out / LOCK, busy))
+        try:
+            yield
+        finally:
+            if not others_in(out, [LOCK]):
+                (out / LOCK).unlink(missing_ok=True)
+                if not was_there:
+                    out.rmdir()
+
+
+def _made_of(
+    request: FitRequest,
+    stages: Sequence[str],
+    until: str,
+    formats: str,
+    bar: Bar,
+    maps: Path | None,
+) -> dict[str, Any]:
+    """Make what is not up to date, see `avatar_command`; the facts."""
+    out = request.out
     made, of_export = _record(out)
     source = out / "fit" if maps is None else maps
     fit_key = _hash(_fit_inputs(request) if maps is None else _maps_inputs(maps, request.template))
@@ -159,7 +207,6 @@ def avatar_command(
         "parts": parts,
         "skipped": skipped,
         "notes": [*facts["notes"], *notes],
-        "seconds": time.monotonic() - began,
     }
 
 

@@ -15,6 +15,7 @@ import pytest
 import trimesh
 
 from learning import avatar
+from learning.errors import MapsError
 from learning.photo.command import OWN, FitRequest
 from learning.photo.fit import joined
 from learning.photo.picture import read_photograph
@@ -186,6 +187,32 @@ def test_a_fit_with_a_file_of_the_user_is_not_replaced(
     code, stated = called("fit", *line[1:-4], "--out", mine.parents[name.count("/")])
     assert (code, mine.read_text()) == (2, "mine")
     assert "Move what is yours elsewhere" in str(stated["error"])
+
+
+def test_two_avatars_are_never_made_in_one_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refusals = []
+    for name in ("one.png", "two.png"):
+        (tmp_path / name).write_text(name)
+
+    def made(photograph: str) -> None:
+        request = FitRequest((tmp_path / photograph,), default_template_path(), tmp_path / "A")
+        avatar.avatar_command(request, "fit", "gltf", lambda _: nullcontext(quiet))
+
+    def fit(request: FitRequest, _: object) -> None:
+        # While the first is at work, one of another person begins.
+        with pytest.raises(MapsError, match="another avatar that is made there now") as raised:
+            made("two.png")
+        refusals.append(raised.value)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(avatar, "fit_command", fit)
+    with pytest.raises(KeyboardInterrupt):
+        made("one.png")
+    assert len(refusals) == 1
+    # One that made nothing leaves nothing.
+    assert not (tmp_path / "A").exists()
 
 
 def test_relief_becomes_heights_and_a_mesh_and_small_textures_have_none(
