@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.counting import counted
-from lightstage.errors import FormatError
+from lightstage.errors import DiskFullError, FormatError
 from lightstage.failures import disk_full, is_disk_full
 from lightstage.formats.values import read_value
 
@@ -266,7 +266,9 @@ def atomic_folder(
         fsync_path(path.parent)
     except BaseException as error:
         full = is_disk_full(error)
-        written = _bytes_below(beside) if full else 0
+        # The file that met the full disk is gone by now.
+        met = error.written if isinstance(error, DiskFullError) else 0
+        written = met + _bytes_below(beside) if full else 0
         _remove(beside)
         if full:
             raise disk_full(path, written) from error
