@@ -310,7 +310,7 @@ def _fit_inputs(request: FitRequest) -> list[Any]:
 
 def _maps_inputs(maps: Path, template: Path) -> list[Any]:
     """All that a captured head's export depends on."""
-    folder = maps_folder(maps)
+    folder = maps_folder(maps, "--maps")
     beside = ProcessedFolder(folder.parent)
     files = [*sorted(folder.glob("*.exr")), beside.registered_mesh, beside.head_pose]
     files += sorted(path for path in template.rglob("*") if path.is_file())
