@@ -67,7 +67,8 @@ def scanned_head(texels: int) -> Subject:
 def lights_of(panorama: SimulatedPanorama, count: int) -> LightSet:
     found = median_cut(Panorama(panorama.radiance), count, np.zeros(3))
     position = FAR_MM * found.position_mm[0].double().numpy()
-    return LightSet(panorama.name, position, found.rgb[0].double().numpy(), np.zeros(3))
+    ambient_rgb = found.ambient_rgb[0].double().numpy()
+    return LightSet(panorama.name, position, found.rgb[0].double().numpy(), ambient_rgb)
 
 
 class MatteScene:

@@ -5,31 +5,40 @@ A stage whose inputs, options and code are those of the last run is skipped.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 from learning.checkpoint import code_version, shipped_weights
-from learning.detail.command import ABOUT, DISPLACEMENT, EMBOSSED, detail_command
+from learning.detail.command import ABOUT, detail_command
+from learning.detail.command import OWN as OF_DETAIL
 from learning.detail.config import RELIEF_MM, TIMES
 from learning.errors import MapsError, NoReliefError
-from learning.export.command import PAGE as EXPORT_PAGE
+from learning.export.command import OWN as OF_EXPORT
 from learning.export.command import README, export_command, formats_of
-from learning.export.maps import MAPS
-from learning.export.obj import PICTURES
 from learning.export.source import maps_folder
 from learning.photo.avatar_page import write_avatar_page
 from learning.photo.command import FIT, FitRequest, fit_command
+from learning.photo.command import OWN as OF_FIT
 from lightstage.commands import ProgressCallback
-from lightstage.errors import ConfigError
+from lightstage.errors import ConfigError, DiskError
 from lightstage.formats.exr import read_half_exr
-from lightstage.formats.files import others_in, read_json, sha256_file, write_json
+from lightstage.formats.files import (
+    others_below,
+    others_in,
+    read_json,
+    require_replaceable,
+    sha256_file,
+    write_json,
+)
+from lightstage.formats.lock import locked
 from lightstage.formats.processed import ProcessedFolder
 
 SCHEMA = "lightstage.avatar/1"
@@ -38,13 +47,12 @@ KEYS = (*STAGES, "maps")
 """What the record has: of each stage, and of a captured head's maps."""
 RECORD, PAGE = "avatar.json", "avatar.html"
 """What each stage was made of, by hash; and the page that shows what there is."""
+LOCK = "avatar.lock"
+"""Held while an avatar is made; the empty file stays."""
 MARKS = {"fit": FIT, "detail": ABOUT, "export": README}
 """A file that a stage's folder holds."""
-OWN = {
-    "detail": (ABOUT, DISPLACEMENT, EMBOSSED),
-    "export": (README, EXPORT_PAGE, "head.*", MAPS, PICTURES),
-}
-"""What else is in folders that are removed with the head that they were made of."""
+OWN = {"fit": OF_FIT, "detail": OF_DETAIL, "export": OF_EXPORT}
+"""All that is in a stage's folder. What has other files too is neither removed nor replaced."""
 FLAT = "flat "
 """Stands before the hash of a fit in whose normals `detail` found no relief."""
 Bar = Callable[[str], AbstractContextManager[ProgressCallback]]
@@ -83,7 +91,7 @@ def avatar_command(
     if maps is not None:
         _require_no_fit_options(request)
     out = request.out
-    others = others_in(out, [RECORD, PAGE, *stages])
+    others = others_in(out, [RECORD, PAGE, LOCK, *stages])
     if others:
         raise MapsError(
             out,
@@ -92,6 +100,50 @@ def avatar_command(
             expected="a new folder, or one that avatar made, of photographs or of maps as now",
             hint="Choose another --out.",
         )
+    with _alone(out):
+        facts = _made_of(request, stages, until, formats, bar, maps)
+    return {**facts, "seconds": time.monotonic() - began}
+
+
+@contextlib.contextmanager
+def _alone(out: Path) -> Iterator[None]:
+    """Keep other calls out of the folder within the block; one that makes nothing leaves nothing.
+
+    On a disk that cannot lock files nothing keeps others out.
+
+    Raises:
+        MapsError: another call writes there.
+    """
+    was_there = out.exists()
+    busy = MapsError(
+        out,
+        field="--out",
+        found="another avatar that is made there now",
+        expected="a folder of this one's own",
+        hint="Wait until it ends, or choose another --out.",
+    )
+    with contextlib.ExitStack() as held:
+        with contextlib.suppress(DiskError):
+            held.enter_context(locked(out / LOCK, busy))
+        try:
+            yield
+        finally:
+            if not others_in(out, [LOCK]):
+                (out / LOCK).unlink(missing_ok=True)
+                if not was_there:
+                    out.rmdir()
+
+
+def _made_of(
+    request: FitRequest,
+    stages: Sequence[str],
+    until: str,
+    formats: str,
+    bar: Bar,
+    maps: Path | None,
+) -> dict[str, Any]:
+    """Make what is not up to date, see `avatar_command`; the facts."""
+    out = request.out
     made, of_export = _record(out)
     source = out / "fit" if maps is None else maps
     fit_key = _hash(_fit_inputs(request) if maps is None else _maps_inputs(maps, request.template))
@@ -103,7 +155,11 @@ def avatar_command(
     if maps is not None and made.get("maps") != fit_key:
         made = {"maps": fit_key}  # what is there was made of another head
     skipped = []
-    for stage in stages[: stages.index(until) + 1]:
+    wanted = stages[: stages.index(until) + 1]
+    for stage in _anew(wanted, made, keys, out):
+        # Before any work, not after minutes of it.
+        require_replaceable(out / stage, MARKS[stage], own=OWN[stage])
+    for stage in wanted:
         if _is_made(stage, made, keys[stage], out):
             skipped.append(stage)
             continue
@@ -121,7 +177,7 @@ def avatar_command(
                 of_export = _exported(source, request, formats, progress)
         made[stage] = key
         # What was made of another head does not stay beside this one, and the page shows it.
-        for other in OWN.keys() - made.keys():
+        for other in _beside(made):
             _remove(out / other)
         (out / PAGE).unlink(missing_ok=True)
         _write_record(out, made, of_export)
@@ -141,8 +197,8 @@ def avatar_command(
         notes += of_export
     notes += [
         f"{out / other} is not of this head; it stays, as it holds what avatar did not make"
-        for other in OWN
-        if other not in parts and (out / other).exists()
+        for other in _beside(parts)
+        if (out / other).exists()
     ]
     return {
         "rows": facts["rows"],
@@ -151,7 +207,6 @@ def avatar_command(
         "parts": parts,
         "skipped": skipped,
         "notes": [*facts["notes"], *notes],
-        "seconds": time.monotonic() - began,
     }
 
 
@@ -183,6 +238,19 @@ def _is_made(stage: str, made: dict[str, str], key: str, out: Path) -> bool:
     return made.get(stage) == key and (out / stage / MARKS[stage]).exists()
 
 
+def _anew(
+    wanted: Sequence[str], made: dict[str, str], keys: dict[str, str], out: Path
+) -> list[str]:
+    """The stages that a call makes: those that are not up to date, and all after a new fit."""
+    found = [stage for stage in wanted if not _is_made(stage, made, keys[stage], out)]
+    return list(wanted) if "fit" in found else found
+
+
+def _beside(parts: Iterable[str]) -> list[str]:
+    """The stages after a fit that are not among some."""
+    return [stage for stage in STAGES[1:] if stage not in parts]
+
+
 def _is_newer(page: Path, record: Path) -> bool:
     """Whether the page was written after the last stage: a kill may come between."""
     return page.exists() and page.stat().st_mtime_ns >= record.stat().st_mtime_ns
@@ -202,7 +270,7 @@ def _detailed(source: Path, out: Path, progress: ProgressCallback) -> bool:
 def _remove(folder: Path) -> None:
     """Remove a stage's folder if it has the stage's mark and nothing but the stage's files."""
     stage = folder.name
-    if (folder / MARKS[stage]).is_file() and not others_in(folder, OWN[stage]):
+    if (folder / MARKS[stage]).is_file() and not others_below(folder, OWN[stage]):
         shutil.rmtree(folder)
 
 
@@ -242,7 +310,7 @@ def _fit_inputs(request: FitRequest) -> list[Any]:
 
 def _maps_inputs(maps: Path, template: Path) -> list[Any]:
     """All that a captured head's export depends on."""
-    folder = maps_folder(maps)
+    folder = maps_folder(maps, "--maps")
     beside = ProcessedFolder(folder.parent)
     files = [*sorted(folder.glob("*.exr")), beside.registered_mesh, beside.head_pose]
     files += sorted(path for path in template.rglob("*") if path.is_file())

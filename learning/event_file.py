@@ -21,7 +21,7 @@ import math
 import secrets
 import struct
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from learning.protobuf import BYTES, EIGHT_BYTES, FOUR_BYTES, VARINT, field, varint
@@ -43,14 +43,19 @@ class EventFile:
         self._path: Path | None = None
         self._began = b""
 
-    def begin_again(self, step: int) -> None:
-        """Have TensorBoard leave out what files of earlier calls hold from a step on."""
-        self._began = record(_at(time.time(), step) + field(7, BYTES, field(1, VARINT, varint(1))))
+    def begin_again(self, step: int, kept: Iterable[Mapping[str, float]] = ()) -> None:
+        """Have TensorBoard leave out what files of earlier calls hold from a step on.
+
+        Args:
+            step: the first one that is left out.
+            kept: scalars of this step that are shown nevertheless: scores of all steps before it.
+        """
+        start = record(_at(time.time(), step) + field(7, BYTES, field(1, VARINT, varint(1))))
+        self._began = start + b"".join(_scalars(step, values) for values in kept)
 
     def add(self, step: int, values: Mapping[str, float]) -> None:
         """Add the finite ones of some scalars, which a step has."""
-        shown = {tag: value for tag, value in values.items() if math.isfinite(value)}
-        records = record(event(time.time(), step, shown))
+        records = _scalars(step, values)
         if self._path is None:
             now = time.time()
             name = f"{EVENTS}{int(now):010d}.{secrets.token_hex(4)}"
@@ -61,6 +66,12 @@ class EventFile:
             records = first + self._began + records
         with self._path.open("ab") as handle:
             handle.write(records)
+
+
+def _scalars(step: int, values: Mapping[str, float]) -> bytes:
+    """A TFRecord of the finite ones of some scalars."""
+    shown = {tag: value for tag, value in values.items() if math.isfinite(value)}
+    return record(event(time.time(), step, shown))
 
 
 def record(data: bytes) -> bytes:

@@ -15,11 +15,12 @@ DEEPEST = 3
 NAMED = 6
 
 
-def require_texture_maps(folder: Path) -> None:
+def require_texture_maps(folder: Path, option: str = "--maps") -> None:
     """Refuse a folder that holds no maps of its own, or a camera's instead of the texture's.
 
     Args:
-        folder: as given by `--maps`.
+        folder: as given.
+        option: by which it was given; empty of an argument.
 
     Raises:
         MapsError: no folder; several folders of maps below, listed with their kinds; none at all; a
@@ -28,7 +29,7 @@ def require_texture_maps(folder: Path) -> None:
     if not folder.is_dir():
         raise MapsError(
             folder,
-            field="--maps",
+            field=option,
             found="a file" if folder.exists() else "no such folder",
             expected="a folder of maps, such as OUT/atlas of a processed folder",
         )
@@ -36,7 +37,7 @@ def require_texture_maps(folder: Path) -> None:
         if folder.resolve().parent.name == "views":
             raise MapsError(
                 folder,
-                field="--maps",
+                field=option,
                 found="one camera's maps, in the layout of its photograph",
                 expected="maps in the texture's layout",
                 hint=f"Give {folder.resolve().parent.parent / 'atlas'}, which the stage atlas "
@@ -47,7 +48,7 @@ def require_texture_maps(folder: Path) -> None:
     if not found:
         raise MapsError(
             folder,
-            field="--maps",
+            field=option,
             found=f"no {MARK} in it nor below",
             expected="a folder of maps, such as OUT/atlas of a processed folder",
         )
@@ -57,7 +58,7 @@ def require_texture_maps(folder: Path) -> None:
     choice = f"Give {textures[0]}" if textures else "Run the stage atlas, which makes it"
     raise MapsError(
         folder,
-        field="--maps",
+        field=option,
         found=f"no maps of its own, but {counted(len(found), 'folder')} of maps below: "
         + ", ".join([*named, *more]),
         expected="one folder of maps in the texture's layout",

@@ -10,6 +10,8 @@ from lightstage.formats.values import parse_json
 
 METRICS, RATE = "metrics.jsonl", "learning_rate"
 """The file's name, and what every line of a step has among its losses."""
+STEP, SECONDS = "step", "seconds"
+"""What every line has beside its scalars."""
 
 
 def drop_lost_lines(path: Path, first: int) -> bool:
@@ -35,13 +37,33 @@ def drop_lost_lines(path: Path, first: int) -> bool:
     return True
 
 
+def scores_at(path: Path, step: int) -> list[dict[str, float]]:
+    """The scalars of the scores that a run's metrics have of a number of steps.
+
+    Args:
+        path: of the metrics, after `drop_lost_lines` with the same step.
+        step: number of steps that were done.
+    """
+    lines = path.read_bytes().splitlines() if path.exists() else []
+    read = [parse_json(line, METRICS) for line in lines]
+    return [
+        {
+            name: float(value)
+            for name, value in values.items()
+            if name not in (STEP, SECONDS) and isinstance(value, int | float)
+        }
+        for values in read
+        if values[STEP] == step
+    ]
+
+
 def _is_before(line: bytes, first: int) -> bool:
     """Whether a line of metrics is whole, and of a step before `first`, or of a score at it."""
     if not line.endswith(b"\n"):
         return False
     try:
         values = parse_json(line, METRICS)
-        step = int(values["step"])
+        step = int(values[STEP])
     except (FormatError, ValueError, TypeError, KeyError):
         return False
     # Step N is logged once it is taken, and the score of N steps under N too.

@@ -42,7 +42,8 @@ def read_light(path: Path, count: int, rotate_deg: float = 0.0) -> LightSet:
 
     Args:
         path: .json (lightstage.environment/1), or .exr or .hdr (latitude-longitude).
-        count: number of lights that replace a picture, by median cut.
+        count: number of lights that replace a picture, by median cut; of few lights, light without
+            a direction becomes ambient light.
         rotate_deg: turns the light about +y, from +z toward +x.
 
     Raises:
@@ -66,7 +67,7 @@ def read_light(path: Path, count: int, rotate_deg: float = 0.0) -> LightSet:
         path.stem,
         FAR_MM * found.position_mm[0].double().numpy(),
         found.rgb[0].double().numpy(),
-        np.zeros(3),
+        found.ambient_rgb[0].double().numpy(),
     )
     return turned_lights(lights, rotate_deg)
 

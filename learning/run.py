@@ -28,7 +28,7 @@ from learning.clock import NETWORK, Clock
 from learning.errors import CheckpointError, TrainingError
 from learning.event_file import EVENTS, EventFile
 from learning.guard import LEAP, LEAP_FROM_FIRST, WINDOW, Guard
-from learning.metrics_file import METRICS, drop_lost_lines
+from learning.metrics_file import METRICS, drop_lost_lines, scores_at
 from learning.processes import ALONE, Processes
 from learning.resuming import require_same_run
 from learning.same_scans import require_other_scans
@@ -226,8 +226,9 @@ class Run:
     def _drop_lost(self) -> None:
         """Remove the curves of steps that no checkpoint has."""
         if (self.out / INDEX).exists():
-            if drop_lost_lines(self.out / METRICS, self.first) and self.events is not None:
-                self.events.begin_again(self.first)
+            metrics = self.out / METRICS
+            if drop_lost_lines(metrics, self.first) and self.events is not None:
+                self.events.begin_again(self.first, scores_at(metrics, self.first))
             return
         # Of a run that ended before its first checkpoint: its curves are not this one's.
         for path in (self.out / METRICS, *self.out.glob(f"{EVENTS}*")):

@@ -92,7 +92,13 @@ class DiskError(LightstageError):
 
 
 class DiskFullError(DiskError):
-    """No room on the disk for what was being written; nothing is left of it."""
+    """No room on the disk for what was being written; nothing is left of it.
+
+    Attributes:
+        written: bytes of it that were on the disk when it was full.
+    """
+
+    written: int = 0
 
 
 class MemoryLimitError(LightstageError):

@@ -100,12 +100,14 @@ def disk_full(path: Path, written: int = 0, needed: int | None = None) -> DiskFu
         expected = f"more than the {_size(written)} that had been written when it was full"
     else:
         expected = "more room"
-    return DiskFullError(
+    error = DiskFullError(
         path,
         found=f"a full disk, {_size(free)} free",
         expected=expected,
         hint="Free some space, or name an output on another disk. Nothing was left half-written.",
     )
+    error.written = written
+    return error
 
 
 def free_bytes(path: Path) -> int:

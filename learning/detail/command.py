@@ -22,6 +22,8 @@ from lightstage.formats.mesh import write_obj
 
 SCHEMA = "lightstage.detail/1"
 DISPLACEMENT, EMBOSSED, ABOUT = "displacement.exr", "embossed.obj", "detail.json"
+OWN = (DISPLACEMENT, EMBOSSED, ABOUT)
+"""What a folder of heights holds."""
 LEAST_MM = 1e-3
 """A map whose heights are less, in the mean, has the mesh's own normals: half floats make that."""
 
@@ -39,7 +41,7 @@ def detail_command(
     Args:
         maps: a processed folder, its atlas, maps of `infer`, or a fit's folder.
         mesh: of the maps; registered_mesh.obj beside them where None.
-        out: folder to make; one of an earlier call is replaced.
+        out: folder to make; one of an earlier call is replaced, unless it has other files too.
         longest_mm: length of the waves of relief of which half is the mesh's.
         times: how often each triangle of the embossed mesh is split into four; 0 for no mesh.
         progress: of the three steps.
@@ -56,7 +58,7 @@ def detail_command(
         )
     if not 0 <= times <= MOST_TIMES:
         raise ConfigError("--subdivide", found=str(times), expected=f"0 to {MOST_TIMES}")
-    require_replaceable(out, ABOUT)
+    require_replaceable(out, ABOUT, own=OWN)
     source = read_source(maps, mesh)
     rows, columns = source.size
     progress(1, 3)
@@ -91,7 +93,7 @@ def detail_command(
     finer = embossed(source.mesh, shown, times) if times else None
     if finer is not None:
         facts["triangles"] = len(finer.faces)
-    with atomic_folder(out, ABOUT) as folder:
+    with atomic_folder(out, ABOUT, own=OWN) as folder:
         write_exr(folder / DISPLACEMENT, shown)
         if finer is not None:
             write_obj(finer, folder / EMBOSSED)

@@ -12,9 +12,9 @@ import numpy as np
 from learning.errors import MapsError
 from learning.export.gltf import write_glb
 from learning.export.levels import coarser, on_level, require_levels, require_triangles
-from learning.export.maps import write_maps
+from learning.export.maps import MAPS, write_maps
 from learning.export.morphs import morph_targets
-from learning.export.obj import write_obj_material, write_pictures
+from learning.export.obj import PICTURES, write_obj_material, write_pictures
 from learning.export.page import write_page
 from learning.export.pictures import Pictures
 from learning.export.recipe import readme
@@ -31,6 +31,8 @@ PROGRAMS = ("gltf", "obj", "usd")
 """Formats that levels of detail are written in, too."""
 PAGE = "page.html"
 README = "README.txt"
+OWN = (README, PAGE, "head.*", f"{MAPS}/*", f"{PICTURES}/*.png")
+"""What an export without levels of detail holds."""
 
 
 def formats_of(words: str) -> list[str]:
@@ -70,7 +72,7 @@ def export_command(
             of roughness.
         compare: other maps of the same mesh, such as inferred ones, for the page's slider.
         progress: of the formats.
-        replace: an earlier export in `out`.
+        replace: an earlier export in `out`, unless it has other files too.
         levels: of less detail, each in a folder of its own.
 
     Raises:
@@ -89,7 +91,7 @@ def export_command(
             expected="a new folder",
             hint="Choose another --out, or remove that one first.",
         )
-    require_replaceable(out, README)
+    require_replaceable(out, README, own=OWN)
     if compare is not None and "page" not in chosen:
         raise ConfigError("--compare", found="without page in --format", expected="page")
     source = read_source(maps, mesh, template)
@@ -110,7 +112,7 @@ def export_command(
         progress(next(steps), len(chosen) + levels * len(programs))
 
     finer, counts = source, []
-    with atomic_folder(out, README) as folder:
+    with atomic_folder(out, README, own=OWN) as folder:
         _write_programs(folder, programs, source, pictures, morphs, step)
         if "maps" in chosen:
             written = list(write_maps(folder, source))

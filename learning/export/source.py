@@ -85,8 +85,12 @@ class Source:
         return out[self.nearest.ravel()].reshape(*self.nearest.shape, 3)
 
 
-def maps_folder(given: Path) -> Path:
+def maps_folder(given: Path, option: str = "") -> Path:
     """The folder of maps that is meant: of a processed folder, a fit or an avatar its atlas.
+
+    Args:
+        given: any of these, or maps.
+        option: by which it was given; empty of an argument.
 
     Raises:
         MapsError: none, several, or one camera's (see `require_texture_maps`).
@@ -94,7 +98,7 @@ def maps_folder(given: Path) -> Path:
     for atlas in (given / "atlas", given / "fit" / "atlas"):
         if not (given / MARK).is_file() and (atlas / MARK).is_file():
             return atlas
-    require_texture_maps(given)
+    require_texture_maps(given, option)
     return given
 
 

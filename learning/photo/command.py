@@ -50,6 +50,8 @@ SCHEMA = "lightstage.fit/1"
 FIT, PAGE, TEXTURE, LIGHT = "fit.json", "fit.html", "texture.exr", "light.json"
 MESH, NEUTRAL = "registered_mesh.obj", "neutral_mesh.obj"
 MAPS = "atlas"
+OWN = (FIT, PAGE, TEXTURE, LIGHT, MESH, NEUTRAL, f"{MAPS}/*.exr")
+"""What a fit's folder holds."""
 MOST_PHOTOGRAPHS = 32
 SURE = 0.9
 """A detector that is less sure of a face is mentioned."""
@@ -93,7 +95,7 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
     began = time.monotonic()
     options = {"rows": ("--rows", request.rows), "refine_seconds": ("--refine", request.refine)}
     config = configured(FitConfig, request.config, options, "fit")
-    require_replaceable(request.out, FIT)
+    require_replaceable(request.out, FIT, own=OWN)
     network = whole_face_of(request.checkpoint)
     template = load_template(request.template)
     photographs, places, notes = read_all(request, template)
@@ -110,7 +112,7 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
         load_super_resolution(shipped_super_resolution())[0] if config.super_resolution else None,
     )
     facts = _facts(photographs, fitted, config, notes, request.template)
-    with atomic_folder(request.out, FIT) as folder:
+    with atomic_folder(request.out, FIT, own=OWN) as folder:
         write_fitted(folder, fitted)
         write_json(folder / FIT, {"schema": SCHEMA, **facts})
         write_page(folder / PAGE, photographs, fitted)

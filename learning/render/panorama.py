@@ -3,6 +3,7 @@
 Row 0 looks up (+y); the middle column looks along +z and columns grow toward +x:
 direction = (sin t sin p, cos t, sin t cos p), t = pi row / h, p = 2 pi (column / w - 1/2).
 A light's rgb is what a white diffuser that faces it reads: radiance times solid angle over pi.
+Of an even sky a white diffuser reads a quarter of the sum of these, whatever it faces.
 """
 
 from __future__ import annotations
@@ -24,6 +25,11 @@ from lightstage.formats.srgb import LUMINANCE
 
 LOBE = (math.pi, 2 * math.pi / 3, math.pi / 4, 0.0, -math.pi / 24)
 """How a clamped cosine weighs each band of light [Ramamoorthi2001]."""
+HEMISPHERE = 0.5
+"""Length of the mean direction of an even hemisphere's light. What is shorter comes from farther
+around than any lamp can replace, and an even sky's is 0."""
+LEAST_SHARE = 1e-6
+"""Of a rectangle's light: a smaller part with a direction is rounding."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,11 +71,15 @@ def solid_angles(rows: int) -> np.ndarray:
 def median_cut(panorama: Panorama, count: int, camera_mm: np.ndarray) -> Environment:
     """Directional lights of about equal power, one a rectangle of the picture [Debevec2005].
 
-    Light is kept per channel; each light stands at its rectangle's centre of light.
+    Light is kept per channel; each light stands at its rectangle's centre of light. A rectangle's
+    light that comes from farther around than a hemisphere is taken for an even sky and an even
+    hemisphere: the sky's part belongs to the ambient light, as it has no direction. With more than
+    a few lights no rectangle is so large.
 
     Args:
         panorama: the light.
-        count: lights, at most; fewer where texels with light are fewer.
+        count: lights, at most; fewer where texels with light are fewer; none of an even sky that
+            one light should replace.
         camera_mm: (3,).
     """
     rows = len(panorama.radiance)
@@ -93,12 +103,17 @@ def median_cut(panorama: Panorama, count: int, camera_mm: np.ndarray) -> Environ
                 serial += 1
     way = directions(rows)
     boxes = done + [box for _, _, box in heap]
-    rgb, toward = [], []
+    rgb, toward, ambient_rgb = [], [], np.zeros(3)
     for top, bottom, left, right in boxes:
         here = weight[top:bottom, left:right, None]
-        rgb.append(power[top:bottom, left:right].sum(axis=(0, 1)))
-        toward.append((here * way[top:bottom, left:right]).sum(axis=(0, 1)))
-    return _distant(np.array(toward), np.array(rgb), camera_mm)
+        light = power[top:bottom, left:right].sum(axis=(0, 1))
+        centre = (here * way[top:bottom, left:right]).sum(axis=(0, 1)) / here.sum()
+        share = min(1.0, float(np.linalg.norm(centre)) / HEMISPHERE)
+        ambient_rgb += (1 - share) * light / 4
+        if share > LEAST_SHARE:
+            rgb.append(share * light)
+            toward.append(centre)
+    return _distant(np.reshape(toward, (-1, 3)), np.reshape(rgb, (-1, 3)), camera_mm, ambient_rgb)
 
 
 def _cut(
@@ -145,12 +160,18 @@ def importance(
     return _distant(directions(rows).reshape(-1, 3)[chosen], rgb, camera_mm)
 
 
-def _distant(toward: np.ndarray, rgb: np.ndarray, camera_mm: np.ndarray) -> Environment:
+def _distant(
+    toward: np.ndarray,
+    rgb: np.ndarray,
+    camera_mm: np.ndarray,
+    ambient_rgb: np.ndarray | None = None,
+) -> Environment:
     toward = toward / np.linalg.norm(toward, axis=1, keepdims=True)
+    around = np.zeros(3) if ambient_rgb is None else ambient_rgb
     return Environment(
         torch.from_numpy(toward.astype(np.float32))[None],
         torch.from_numpy(rgb.astype(np.float32))[None],
-        torch.zeros(1, 3),
+        torch.from_numpy(around.astype(np.float32))[None],
         torch.ones(1, len(toward), dtype=torch.bool),
         torch.from_numpy(np.asarray(camera_mm, np.float32))[None],
     )

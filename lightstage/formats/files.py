@@ -17,7 +17,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from lightstage.errors import FormatError
+from lightstage.counting import counted
+from lightstage.errors import DiskFullError, FormatError
 from lightstage.failures import disk_full, is_disk_full
 from lightstage.formats.lock import abandoned, being_filled, remove_abandoned
 from lightstage.formats.values import read_value
@@ -28,6 +29,8 @@ NAME_BYTES = 4
 REMOVALS, REMOVAL_PAUSE_S = 100, 0.02
 SEEN_GONE = 5
 """A folder that is not there at so many looks in a row stays away: nobody writes into it now."""
+OF_SYSTEMS = (".DS_Store", "Thumbs.db", "desktop.ini", ".directory")
+"""What file managers leave in a folder that they show: nobody's, and nobody misses it."""
 
 
 def fsync_path(path: Path) -> None:
@@ -122,11 +125,42 @@ def others_in(folder: Path, own: Iterable[str]) -> list[str]:
         own: what the command makes, as globs of names.
     """
     there = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
-    return [name for name in there if not any(fnmatch.fnmatch(name, each) for each in own)]
+    made = [*own, *OF_SYSTEMS]
+    return [name for name in there if not any(fnmatch.fnmatch(name, each) for each in made)]
+
+
+def others_below(folder: Path, own: Iterable[str]) -> list[str]:
+    """Files in an output folder, also in folders below it, that its command does not make, sorted.
+
+    Links count, wherever they lead; empty folders do not.
+
+    Args:
+        folder: may be absent.
+        own: paths in it of what the command makes, as globs in which no star matches a slash.
+    """
+    patterns = [each.split("/") for each in own]
+    found = []
+    for path in folder.rglob("*") if folder.is_dir() else []:
+        names = path.relative_to(folder).parts
+        is_file = not path.is_dir() or path.is_symlink()
+        if (
+            is_file
+            and path.name not in OF_SYSTEMS
+            and not any(
+                len(names) == len(pattern) and all(map(fnmatch.fnmatch, names, pattern))
+                for pattern in patterns
+            )
+        ):
+            found.append("/".join(names))
+    return sorted(found)
 
 
 def require_replaceable(
-    path: Path, marker: str, kind: str | None = None, schema: str | None = None
+    path: Path,
+    marker: str,
+    kind: str | None = None,
+    schema: str | None = None,
+    own: Iterable[str] | None = None,
 ) -> None:
     """Refuse an output folder that a command of this kind did not make.
 
@@ -136,10 +170,12 @@ def require_replaceable(
         kind: the `kind` that the marker, a JSON object, must have; None where its name is enough.
         schema: the `schema` that it must have, of any version; None where other files of its name
             have the same or none.
+        own: all that the command makes, see `others_below`; None where anything beside the marker
+            may be lost.
 
     Raises:
-        FormatError: `path` is a file, a folder that holds something and is of another kind, or the
-            working folder or one above it.
+        FormatError: `path` is a file, a folder that holds something and is of another kind or has
+            files of others, or the working folder or one above it.
     """
     working = _working_folder()
     if working is not None and path.resolve() in (working, *working.parents):
@@ -171,6 +207,15 @@ def require_replaceable(
             found=found,
             expected="a new folder, or one made by the same command",
             hint="Choose another output folder.",
+        )
+    others = [] if own is None else others_below(path, own)
+    if others:
+        more = f" and {counted(len(others) - 1, 'more file')}" if len(others) > 1 else ""
+        raise FormatError(
+            path,
+            found=f"{others[0]}{more}, which the command did not make",
+            expected="its own files alone, as the folder is replaced as a whole",
+            hint="Move what is yours elsewhere, or choose another output folder.",
         )
 
 
@@ -211,7 +256,11 @@ def require_new(path: Path, overwrite: bool, marker: str, kind: str | None = Non
 
 @contextlib.contextmanager
 def atomic_folder(
-    path: Path, marker: str, kind: str | None = None, schema: str | None = None
+    path: Path,
+    marker: str,
+    kind: str | None = None,
+    schema: str | None = None,
+    own: Iterable[str] | None = None,
 ) -> Iterator[Path]:
     """Yield a new folder beside `path` to fill; on success it takes the place of `path`.
 
@@ -224,12 +273,13 @@ def atomic_folder(
             lacks it is somebody else's and is refused.
         kind: see `require_replaceable`.
         schema: see `require_replaceable`.
+        own: see `require_replaceable`.
 
     Raises:
         FormatError: see `require_replaceable`.
         DiskFullError: the disk filled up, whatever the writer raised for it.
     """
-    require_replaceable(path, marker, kind, schema)
+    require_replaceable(path, marker, kind, schema, own)
     # Of a link what it leads to is replaced, and the link stays.
     path = path.resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -243,13 +293,16 @@ def atomic_folder(
         try:
             yield beside
             fsync_path(beside)
+            require_replaceable(path, marker, kind, schema, own)  # what came meanwhile is not lost
             if path.exists():
                 os.replace(path, old)
             os.replace(beside, path)
             fsync_path(path.parent)
         except BaseException as error:
             full = is_disk_full(error)
-            written = _bytes_below(beside) if full else 0
+            # The file that met the full disk is gone by now.
+            met = error.written if isinstance(error, DiskFullError) else 0
+            written = met + _bytes_below(beside) if full else 0
             _remove(beside)
             if full:
                 raise disk_full(path, written) from error

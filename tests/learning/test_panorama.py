@@ -38,6 +38,11 @@ def received(lights: Environment, normals: np.ndarray) -> np.ndarray:
     return cosine @ lights.rgb[0].double().numpy()
 
 
+def given_by(lights: Environment, normals: np.ndarray) -> np.ndarray:
+    """(n, 3) of white diffusers, with the ambient light."""
+    return received(lights, normals) + lights.ambient_rgb[0].double().numpy()
+
+
 def truth(panorama: Panorama, normals: np.ndarray) -> np.ndarray:
     rows = len(panorama.radiance)
     power = (panorama.radiance * solid_angles(rows)[..., None] / np.pi).reshape(-1, 3)
@@ -65,6 +70,35 @@ def test_median_cut_keeps_the_light_and_comes_closer_with_more_lights() -> None:
     assert errors[2] < 0.01 < errors[1] < errors[0]
     every = median_cut(panorama, 10_000, CAMERA)
     np.testing.assert_allclose(received(every, normals), exact, rtol=1e-4)
+
+
+def test_an_even_sky_has_no_direction() -> None:
+    normals = even_directions(200)
+    even = Panorama(np.full((16, 32, 3), [0.2, 0.5, 1.0]))
+    alone = median_cut(even, 1, CAMERA)
+    assert alone.rgb.shape == (1, 0, 3)
+    np.testing.assert_allclose(alone.ambient_rgb[0], [0.2, 0.5, 1.0], rtol=1e-5)
+    # Nor has one whose noise alone points somewhere.
+    noisy = np.random.default_rng(0).uniform(0.99, 1.01, even.radiance.shape)
+    nearly = Panorama(even.radiance * noisy)
+    np.testing.assert_allclose(
+        given_by(median_cut(nearly, 1, CAMERA), normals), truth(nearly, normals), rtol=0.01
+    )
+
+
+def test_few_lights_leave_wide_light_to_the_ambient_light_and_lose_none() -> None:
+    panorama, normals = room(), even_directions(400)
+    panorama.radiance[:] += 2
+    exact = truth(panorama, normals)
+    errors = []
+    for count in (1, 2, 4, 16, 64):
+        lights = median_cut(panorama, count, CAMERA)
+        found = given_by(lights, normals)
+        np.testing.assert_allclose(found.mean(axis=0), exact.mean(axis=0), rtol=0.02)
+        errors.append(np.abs(found - exact).mean() / exact.mean())
+        # A rectangle of less than a hemisphere has one lamp and nothing else.
+        assert (lights.ambient_rgb > 0).all() == (count < 4)
+    assert errors[0] < 0.3
 
 
 def test_importance_is_right_on_average() -> None:
@@ -122,7 +156,7 @@ def test_any_picture_of_light_is_kept(
     lights = median_cut(Panorama(radiance), count, CAMERA)
     assert 1 <= lights.rgb.shape[1] <= count
     power = (radiance * solid_angles(rows)[..., None] / np.pi).sum((0, 1))
-    np.testing.assert_allclose(lights.rgb[0].sum(0), power, rtol=1e-4)
+    np.testing.assert_allclose(lights.rgb[0].sum(0) + 4 * lights.ambient_rgb[0], power, rtol=1e-4)
     np.testing.assert_allclose(lights.position_mm.norm(dim=-1), 1, rtol=1e-5)
 
 

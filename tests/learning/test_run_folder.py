@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -20,7 +21,7 @@ from learning.train import train
 from learning.whole.config import WholeTrainConfig
 from lightstage.errors import DiskError
 from processing.dataset import open_store
-from tests.learning.test_event_file import fields, records
+from tests.learning.test_event_file import fields, records, scalars
 from tests.learning.test_training import TINY
 
 
@@ -88,6 +89,26 @@ def test_a_run_that_is_resumed_logs_each_step_once_though_it_was_killed(
     assert steps_of(metrics) == [0, 1, 2, 3, 4, 5, 6]
     # The score at the end of a run stays where the run is resumed from its end.
     train(open_store(store_path), out, TINY, resume=True)
+    assert steps_of(metrics) == [0, 1, 2, 3, 4, 5, 6, 6]
+
+
+def test_tensorboard_keeps_the_score_of_a_run_whose_continuation_was_killed(
+    store_path: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    whole = train(open_store(store_path), out, TINY)
+    metrics, before = out / "metrics.jsonl", set(out.glob("events.*"))
+    with metrics.open("a") as file:  # of a longer training that was killed before its first save
+        file.write(json.dumps({"step": 6, "learning_rate": 1.0, "seconds": 0.5}) + "\n")
+    train(open_store(store_path), out, TINY, resume=True)
+    (resumed,) = set(out.glob("events.*")) - before
+    _, start, earlier, later = records(resumed.read_bytes())
+    assert dict(fields(start))[2] == 6
+    # Of step 6 earlier files are void: the score that they have is repeated, the killed step not.
+    for event in (earlier, later):
+        _, step, values = scalars(event)
+        assert (step, values["psnr_db"]) == (6, np.float32(whole.score.psnr_db))
+        assert not {"step", "seconds", "learning_rate"} & values.keys()
     assert steps_of(metrics) == [0, 1, 2, 3, 4, 5, 6, 6]
 
 

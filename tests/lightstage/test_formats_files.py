@@ -13,6 +13,7 @@ from lightstage.formats.files import (
     atomic_path,
     check_schema,
     leftovers,
+    others_below,
     read_json,
     sha256_file,
     write_bytes,
@@ -119,6 +120,32 @@ def test_a_folder_of_another_kind_is_refused(tmp_path, text):
     marker.write_text('{"kind": "published"}')
     fill()
     assert marker.read_text() == "new"
+
+
+def test_a_folder_with_files_of_others_is_not_replaced(tmp_path):
+    out, own = tmp_path / "out", ["mark.json", "maps/*.exr"]
+    (out / "maps" / "deep").mkdir(parents=True)
+    for name in ("mark.json", "maps/a.exr", "maps/Thumbs.db", ".DS_Store"):
+        (out / name).touch()
+    assert others_below(tmp_path / "none", own) == others_below(out, own) == []
+    (out / "maps" / "deep" / "b.exr").touch()
+    (out / "mine").symlink_to(tmp_path / "gone")
+    assert others_below(out, own) == ["maps/deep/b.exr", "mine"]
+    message = r"out: found maps/deep/b\.exr and 1 more file, which the command did not make"
+    with pytest.raises(FormatError, match=message), atomic_folder(out, "mark.json", own=own):
+        raise AssertionError("never here")
+    assert (out / "mine").is_symlink()
+    (out / "mine").unlink()
+
+    def put_meanwhile():
+        with atomic_folder(out, "mark.json", own=[*own, "maps/deep/*"]) as beside:
+            (beside / "mark.json").touch()
+            (out / "mine").touch()
+
+    with pytest.raises(FormatError, match="found mine, which"):
+        put_meanwhile()
+    assert (out / "mine").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 def test_json_with_nan_is_refused_and_leaves_nothing(tmp_path):

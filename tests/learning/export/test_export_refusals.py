@@ -122,6 +122,20 @@ def test_an_out_that_is_a_file_is_refused_and_stays(person: Path, tmp_path: Path
     assert out.read_text() == "mine"
 
 
+def test_a_folder_without_maps_is_named_by_the_option_that_gave_it_if_any(tmp_path: Path) -> None:
+    none, out = tmp_path / "none", tmp_path / "H"
+    for words in (
+        ["export", none, "--out", out],
+        ["detail", none, "--out", out],
+        ["evaluate", none, "--truth", none],
+    ):
+        assert f"{none}: found no such folder" in refusal(*words)
+    assert f"{none}, --maps: found no such folder" in refusal(
+        "avatar", "--maps", none, "--out", out
+    )
+    assert not out.exists()
+
+
 def test_a_place_that_is_taken_and_a_format_that_is_unknown_are_refused(
     person: Path, exported: Path
 ) -> None:

@@ -15,7 +15,8 @@ import pytest
 import trimesh
 
 from learning import avatar
-from learning.photo.command import FitRequest
+from learning.errors import MapsError
+from learning.photo.command import OWN, FitRequest
 from learning.photo.fit import joined
 from learning.photo.picture import read_photograph
 from learning.photo.shape_fit import Places, detector_places
@@ -24,7 +25,7 @@ from learning.render.uv import rasterise
 from lightstage.commands import quiet
 from lightstage.formats.environment import read_lights
 from lightstage.formats.exr import read_exr, write_exr
-from lightstage.formats.files import write_json
+from lightstage.formats.files import others_below, write_json
 from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.mesh import read_obj
 from lightstage.formats.processed import ProcessedFolder
@@ -167,6 +168,51 @@ def test_a_fit_that_is_killed_before_it_is_recorded_is_made_again(
         made("two.png")
     made("one.png")
     assert shown == ["one.png", "two.png", "one.png"]
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "atlas/mine.txt"])
+def test_a_fit_with_a_file_of_the_user_is_not_replaced(
+    fitted: tuple[Path, Any], shot: Shot, marks: Path, tmp_path: Path, name: str
+) -> None:
+    out = shutil.copytree(fitted[0], tmp_path / "A")
+    assert others_below(out / "fit", OWN) == []
+    mine = out / "fit" / name
+    mine.write_text("mine")
+    code, _ = called(*words(shot, marks, out))
+    assert code == 0  # nothing is made anew
+    line = [*words(shot, marks, out), "--rows", "195"]
+    code, stated = called(*line)
+    assert (code, mine.read_text()) == (2, "mine")
+    assert f"fit: found {name}, which the command did not make" in str(stated["error"])
+    code, stated = called("fit", *line[1:-4], "--out", mine.parents[name.count("/")])
+    assert (code, mine.read_text()) == (2, "mine")
+    assert "Move what is yours elsewhere" in str(stated["error"])
+
+
+def test_two_avatars_are_never_made_in_one_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refusals = []
+    for name in ("one.png", "two.png"):
+        (tmp_path / name).write_text(name)
+
+    def made(photograph: str) -> None:
+        request = FitRequest((tmp_path / photograph,), default_template_path(), tmp_path / "A")
+        avatar.avatar_command(request, "fit", "gltf", lambda _: nullcontext(quiet))
+
+    def fit(request: FitRequest, _: object) -> None:
+        # While the first is at work, one of another person begins.
+        with pytest.raises(MapsError, match="another avatar that is made there now") as raised:
+            made("two.png")
+        refusals.append(raised.value)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(avatar, "fit_command", fit)
+    with pytest.raises(KeyboardInterrupt):
+        made("one.png")
+    assert len(refusals) == 1
+    # One that made nothing leaves nothing.
+    assert not (tmp_path / "A").exists()
 
 
 def test_relief_becomes_heights_and_a_mesh_and_small_textures_have_none(
@@ -322,6 +368,15 @@ def test_a_captured_heads_maps_are_an_avatar_without_a_fit(
     captured.write_atlas("diffuse_albedo", 0.9 * captured.read_atlas("diffuse_albedo"))
     assert str(out / "export") in " ".join(facts("--until", "detail")["notes"])
     assert (out / "export" / "thesis.txt").read_text() == "mine"
+    # Nor does a new export take their place: the command refuses before it makes anything.
+    captured.write_atlas("diffuse_albedo", 0.9 * captured.read_atlas("diffuse_albedo"))
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
+    text = "export: found thesis.txt, which the command did not make"
+    assert text in refusal(*line)
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
+    (out / "export" / "thesis.txt").rename(tmp_path / "thesis.txt")
+    (out / "export" / ".DS_Store").touch()
+    assert facts()["parts"] == ["detail", "export"]
     for words, message in (
         ([*line, captured.registered_mesh], "found both"),
         ([word for word in line if word not in ("--maps", root)], "found neither"),
