@@ -120,6 +120,26 @@ class ShadeOptions:
     engine: Literal["auto", "eager", "compiled"] = "auto"
 
 
+def finite_without_surface(maps: SkinMaps) -> SkinMaps:
+    """The maps with 0 in place of NaN and infinity where no surface is.
+
+    Such a texel's picture is made 0 by factors of 0, and 0 x NaN is NaN: in the picture, by
+    scattering in all skin around, and in the gradients of lamps and camera.
+    """
+    empty = ~(maps.area > 0)
+    if not bool(empty.any()):
+        return maps
+    lost = {
+        name: empty & ~torch.isfinite(value)
+        for name in CHANNELS
+        if (value := getattr(maps, name)) is not None
+    }
+    if not bool(torch.stack([each.any() for each in lost.values()]).any()):
+        return maps
+    finite = {name: torch.where(each, 0, getattr(maps, name)) for name, each in lost.items()}
+    return dataclasses.replace(maps, **finite)
+
+
 def wide_enough(values: Tensor) -> torch.dtype:
     """The precision that shading is done in: float32 at least, whatever the maps are stored in."""
     return torch.promote_types(values.dtype, torch.float32)
