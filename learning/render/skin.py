@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -136,7 +136,9 @@ def finite_without_surface(maps: SkinMaps) -> SkinMaps:
     }
     if not bool(torch.stack([each.any() for each in lost.values()]).any()):
         return maps
-    finite = {name: torch.where(each, 0, getattr(maps, name)) for name, each in lost.items()}
+    finite: dict[str, Any] = {
+        name: torch.where(each, 0, getattr(maps, name)) for name, each in lost.items()
+    }
     return dataclasses.replace(maps, **finite)
 
 
