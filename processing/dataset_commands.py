@@ -34,10 +34,10 @@ def add_command(
 ) -> None:
     """Add scans to a store; others may read it and add to it meanwhile."""
     from lightstage.errors import LightstageError
-    from processing.dataset import add_scan, open_store, without_people_files
+    from processing.dataset import NO_SCANS, add_scan, open_store, without_people_files
 
     folders, passed = without_people_files(processed)
-    open_store(store)
+    open_store(store, NO_SCANS)
     added, problems = [], []
     with limited_access(group_of([store])), progress_bar("dataset add") as progress:
         for index, root in enumerate(folders):
@@ -63,10 +63,10 @@ def remove_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """Take scans out of a store: off its list, then off the disk."""
-    from processing.dataset import open_store, remove_scans
+    from processing.dataset import NO_SCANS, open_store, remove_scans
 
     names = list(scans or [])
-    opened = open_store(store)
+    opened = open_store(store, NO_SCANS)
     if subject is not None:
         own = [scan.folder for scan in opened.scans if scan.subject == subject]
         if not own:
@@ -94,10 +94,10 @@ def remove_command(
 
 def list_command(store: Path = StoreArgument, as_json: bool = JsonFlag) -> None:
     """The scans of a store: name, person, expression, size, consent record."""
-    from processing.dataset import open_store
+    from processing.dataset import NO_SCANS, open_store
 
     lines, rows = [], []
-    for scan in open_store(store).scans:
+    for scan in open_store(store, NO_SCANS).scans:
         consent = "simulated" if scan.synthetic else scan.consent or "no consent record"
         size = f"{scan.rows} x {scan.columns}"
         lines.append("  ".join((scan.folder, scan.subject, scan.expression, size, consent)))
@@ -118,10 +118,19 @@ def list_command(store: Path = StoreArgument, as_json: bool = JsonFlag) -> None:
     )
 
 
-def verify_command(store: Path = StoreArgument, as_json: bool = JsonFlag) -> None:
-    """Hold every file of a store against the hash that was written with it."""
-    from processing.dataset import open_store, verify_store
+def verify_command(
+    store: Path = typer.Argument(..., help="The lab's store, or a release.", show_default=False),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Hold every file of a store or of a release against the hash that was written with it."""
+    from processing.dataset import is_release, open_store, verify_release, verify_store
 
+    if is_release(store):
+        with progress_bar("dataset verify") as progress:
+            files = verify_release(store, progress)
+        summary = f"{store}: a release, {counted(files, 'file')} as they were published"
+        finish(summary, {"release": str(store), "files": files}, as_json)
+        return
     open_store(store)
     with progress_bar("dataset verify") as progress:
         files, left = verify_store(store, progress)
@@ -169,7 +178,10 @@ def forget_command(
     if still:
         raise ProcessingError(
             proof,
-            found=f"{counted(len(still), 'file')} that still show or name {subject}",
+            found=counted(
+                len(still), "file that still shows or names", "files that still show or name"
+            )
+            + f" {subject}",
             expected="none",
             hint="Inspect each that is listed as still there, and remove it or its line by hand.",
         )

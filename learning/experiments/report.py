@@ -403,7 +403,8 @@ def _sheet(out: Path, runs: Path, experiment: Experiment, config: ExperimentConf
 
 def _thirds(path: Path) -> list[np.ndarray] | None:
     """Texture, albedo found and truth of a run's picture; None where it cannot be read."""
-    image = cv2.imread(str(path))
+    # Fewer people may be held out than are shown; OpenCV warns of every file that is not there.
+    image = cv2.imread(str(path)) if path.is_file() else None
     if image is None:
         return None
     high = SHEET_ROWS / len(image)

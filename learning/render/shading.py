@@ -17,7 +17,13 @@ from torch import Tensor
 from learning.render.eager import TexelFields, compiled_sums, sums, unit
 from learning.render.environments import Environment
 from learning.render.fused import FusedLight, Inputs, can_fuse, fused_facets, wants_gradient
-from learning.render.skin import Mode, ShadeOptions, SkinMaps, wide_enough
+from learning.render.skin import (
+    Mode,
+    ShadeOptions,
+    SkinMaps,
+    finite_without_surface,
+    wide_enough,
+)
 from learning.render.subsurface import scatter, scatter_paper
 
 __all__ = ["Mode", "ShadeOptions", "SkinMaps", "direct", "shade", "unit"]
@@ -35,11 +41,11 @@ def shade(
     """Render skin in texture space.
 
     Values are taken as they are: a NaN or infinity reaches its own texel, and with scattering all
-    skin around it; a negative albedo gives negative light; positions in metres put all lights a
-    thousand times too far away. `maps.load_head` refuses all three. Normals count by their
-    direction and fade below a length of 1e-6 (below 1 with `fade_normals`); a light within 1 mm of
-    a texel is as bright as at 1 mm; without lights the ambient light remains (nothing in mode
-    `paper`, which multiplies).
+    skin around it, but changes nothing in a texel without surface; a negative albedo gives negative
+    light; positions in metres put all lights a thousand times too far away. `maps.load_head`
+    refuses all three. Normals count by their direction and fade below a length of 1e-6 (below 1
+    with `fade_normals`); a light within 1 mm of a texel is as bright as at 1 mm; without lights the
+    ambient light remains (nothing in mode `paper`, which multiplies).
 
     Args:
         maps: the skin, batch B or 1; it is never changed.
@@ -53,6 +59,7 @@ def shade(
         (B, 3, H, W) linear rgb, 1 = a white diffuser in light of 1; 0 where no surface is.
     """
     chosen = options or ShadeOptions()
+    maps = finite_without_surface(maps)
     irradiance, lobe, rim = direct(maps, environment, chosen, visibility)
     diffuse = maps.diffuse_albedo * irradiance
     if chosen.subsurface_mm > 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -118,6 +118,28 @@ class ShadeOptions:
     subsurface_mm: float = 1.4
     fade_normals: bool = False
     engine: Literal["auto", "eager", "compiled"] = "auto"
+
+
+def finite_without_surface(maps: SkinMaps) -> SkinMaps:
+    """The maps with 0 in place of NaN and infinity where no surface is.
+
+    Such a texel's picture is made 0 by factors of 0, and 0 x NaN is NaN: in the picture, by
+    scattering in all skin around, and in the gradients of lamps and camera.
+    """
+    empty = ~(maps.area > 0)
+    if not bool(empty.any()):
+        return maps
+    lost = {
+        name: empty & ~torch.isfinite(value)
+        for name in CHANNELS
+        if (value := getattr(maps, name)) is not None
+    }
+    if not bool(torch.stack([each.any() for each in lost.values()]).any()):
+        return maps
+    finite: dict[str, Any] = {
+        name: torch.where(each, 0, getattr(maps, name)) for name, each in lost.items()
+    }
+    return dataclasses.replace(maps, **finite)
 
 
 def wide_enough(values: Tensor) -> torch.dtype:

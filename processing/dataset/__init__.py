@@ -5,17 +5,28 @@ from processing.dataset.changes import add_scan, build_store, remove_scans, veri
 from processing.dataset.config import PublishConfig
 from processing.dataset.protection import narrow_gap
 from processing.dataset.publish import publish
+from processing.dataset.release_files import verify_release
 from processing.dataset.scan import (
     CHANNELS,
     DatasetError,
     read_head_pose,
     without_people_files,
 )
-from processing.dataset.store import DATASET, PUBLISHED, STORE, Scan, Store, open_store
+from processing.dataset.store import (
+    DATASET,
+    NO_SCANS,
+    PUBLISHED,
+    STORE,
+    Scan,
+    Store,
+    is_release,
+    open_store,
+)
 
 __all__ = [
     "CHANNELS",
     "DATASET",
+    "NO_SCANS",
     "PUBLISHED",
     "STORE",
     "About",
@@ -26,12 +37,14 @@ __all__ = [
     "Store",
     "add_scan",
     "build_store",
+    "is_release",
     "narrow_gap",
     "open_store",
     "publish",
     "read_about",
     "read_head_pose",
     "remove_scans",
+    "verify_release",
     "verify_store",
     "without_people_files",
 ]

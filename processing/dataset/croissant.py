@@ -93,9 +93,9 @@ def _responsible(about: About, facts: Mapping[str, Any]) -> dict[str, Any]:
     fields: dict[str, Any] = {
         "dataCollection": f"{statements.collection(facts)} {answers.recruitment}".strip(),
         "dataCollectionType": kinds,
-        "dataCollectionRawData": "Photographs and whole maps; they stay in the lab.",
+        "dataCollectionRawData": statements.raw_data(facts),
         "dataCollectionMissingData": statements.missing(),
-        "dataPreprocessingProtocol": [statements.preprocessing()],
+        "dataPreprocessingProtocol": [statements.preprocessing(facts)],
         "dataManipulationProtocol": statements.manipulation(facts),
         "dataImputationProtocol": "None: what was not measured is 0.",
         "dataAnnotationProtocol": "There are no labels.",

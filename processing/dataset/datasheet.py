@@ -60,8 +60,7 @@ def _sections(about: About, facts: Mapping[str, Any], form: str) -> dict[str, di
             "Are there recommended splits?": "None. People cannot be distinguished in the set, so "
             "that patches of one person can be on both sides of any split: a test on such a split "
             "gives too good a result.",
-            "Are there errors or noise?": "Noise of the cameras and errors of the maps are those "
-            "that the project measures (its benchmarks/RESULTS.md). The set's own are not known.",
+            "Are there errors or noise?": statements.errors(facts),
             "Does it need anything else, such as the web?": "No.",
             "Which people does it show?": "\n".join(
                 f"- {each}" for each in statements.people(facts)
@@ -79,8 +78,8 @@ def _sections(about: About, facts: Mapping[str, Any], form: str) -> dict[str, di
             "What may it do to those who are shown, and who looked into that?": answers.impact,
         },
         "Preprocessing": {
-            "What was done with the photographs?": statements.preprocessing(),
-            "Is the raw data kept?": "In the lab. It is not published.",
+            "What was done with the photographs?": statements.preprocessing(facts),
+            "Is the raw data kept?": statements.raw_data(facts),
             "Is the software available?": "Yes: lightstage, Apache License 2.0.",
         },
         "Uses": {

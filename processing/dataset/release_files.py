@@ -20,8 +20,10 @@ from typing import Any, Protocol
 import numpy as np
 import zarr
 
-from lightstage.formats.files import sha256_file, write_json
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.files import read_json, sha256_file, write_json
 from processing.dataset.arrays import written_whole
+from processing.dataset.scan import DatasetError
 
 CHANNELS: dict[str, int] = {
     "diffuse_albedo": 3,
@@ -37,6 +39,7 @@ TAR_PATCHES = 256
 TARS = "patches-*.tar"
 FILE_TIME_S = 315532800
 """Time of all files and folders of a release: 1980, the first day that every archive can write."""
+COPY_AGAIN = "Copy the release again from where it is whole."
 CHECKSUMS, CHECKSUMS_SCHEMA = "checksums.json", "lightstage.checksums/1"
 
 
@@ -129,6 +132,50 @@ def write_checksums(folder: Path) -> Path:
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     sums = {str(path.relative_to(folder)): sha256_file(path) for path in files}
     return write_json(folder / CHECKSUMS, {"schema": CHECKSUMS_SCHEMA, "files": sums})
+
+
+def verify_release(folder: Path, progress: ProgressCallback = quiet) -> int:
+    """Hold every file of a release against checksums.json.
+
+    Args:
+        folder: of the release.
+        progress: called after each file.
+
+    Returns:
+        Files that were compared.
+
+    Raises:
+        DatasetError: all files that are missing, changed or not of the release, in one message.
+        FormatError: checksums.json is missing or no list of hashes.
+    """
+    listed = folder / CHECKSUMS
+    known = read_json(listed, CHECKSUMS_SCHEMA).get("files")
+    if not isinstance(known, dict) or not all(isinstance(each, str) for each in known.values()):
+        raise DatasetError(
+            listed,
+            field="files",
+            found=type(known).__name__ if not isinstance(known, dict) else "hashes of another type",
+            expected="an object: the SHA-256 of each file",
+            hint=COPY_AGAIN,
+        )
+    there = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    there -= {CHECKSUMS}
+    both = sorted(known.keys() & there)
+    wrong = [f"{name} is missing" for name in sorted(known.keys() - there)]
+    wrong += [f"{name} is not of the release" for name in sorted(there - known.keys())]
+    for index, name in enumerate(both):
+        if sha256_file(folder / name) != known[name]:
+            wrong.append(f"{name} has changed")
+        progress(index + 1, len(both))
+    if wrong:
+        more = f"; and {len(wrong) - 4} more" if len(wrong) > 4 else ""
+        raise DatasetError(
+            folder,
+            found="; ".join(wrong[:4]) + more,
+            expected="the files that were published",
+            hint=COPY_AGAIN,
+        )
+    return len(both)
 
 
 def give_one_time(folder: Path) -> None:

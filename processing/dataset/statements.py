@@ -55,8 +55,38 @@ def collection(facts: Mapping[str, Any]) -> str:
     return " ".join(sentences) + " Nothing was taken from the web or from another data set."
 
 
-def preprocessing() -> str:
-    """What was computed of the photographs."""
+def captured(facts: Mapping[str, Any]) -> bool:
+    """Whether the set shows anybody who was photographed."""
+    return bool(facts["counts"]["subjects"] > facts["consent"]["subjects_simulated"])
+
+
+def raw_data(facts: Mapping[str, Any]) -> str:
+    """What the lab keeps besides the patches."""
+    if not captured(facts):
+        return "There are no photographs; whole maps stay in the lab."
+    return "Photographs and whole maps; they stay in the lab."
+
+
+def errors(facts: Mapping[str, Any]) -> str:
+    """What is wrong in the maps."""
+    if not captured(facts):
+        return (
+            "The maps are drawn from a model, without a camera's noise, and rounded as they are "
+            "stored. The set's own errors are not known."
+        )
+    return (
+        "Noise of the cameras and errors of the maps are those that the project measures (its "
+        "benchmarks/RESULTS.md). The set's own are not known."
+    )
+
+
+def preprocessing(facts: Mapping[str, Any]) -> str:
+    """What was computed of the photographs, if there were any."""
+    if not captured(facts):
+        return (
+            "There were no photographs: maps of reflectance, a mesh and one texture of each face "
+            f"were drawn from a model, by the software lightstage {__version__}."
+        )
     return (
         "Of the photographs maps of reflectance, a mesh and one texture of the face were computed, "
         f"by the software lightstage {__version__}. What no camera saw is 0. Texels that cameras "

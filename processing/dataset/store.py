@@ -36,6 +36,10 @@ NOT_FOR_TRAINING = (
     "second input), the place in it (cast shadows) and the person (to hold some people out). "
     "docs/dataset.md opens them."
 )
+NO_SCANS = (
+    "Published patches belong to no scan; `lightstage-processing dataset verify` compares a "
+    "release's files with its checksums.json."
+)
 PATCH = 512
 STRIDE = 256
 CHUNK = 256
@@ -175,6 +179,15 @@ class Store:
 
 
 _open_array = functools.lru_cache(maxsize=1024)(open_whole)
+
+
+def is_release(path: Path) -> bool:
+    """Whether a folder's dataset.json is that of a published set; FormatError if unreadable."""
+    file = path / DATASET
+    if not file.exists():
+        return False
+    value = read_json(file)
+    return isinstance(value, dict) and value.get("kind") == PUBLISHED
 
 
 def open_store(path: Path, not_published: str = NOT_FOR_TRAINING) -> Store:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import torch
 from learning.render import shading
 from learning.render.environments import Environment, from_light_set, stack
 from learning.render.shading import ShadeOptions, SkinMaps, direct, shade
+from learning.render.skin import CHANNELS
 from lightstage.formats.environment import LightSet
 from tests.learning.scenes import flat_skin, one_light, random_lights, random_skin
 
@@ -146,3 +148,42 @@ def test_black_lights_fill_up_a_batch_without_changing_it() -> None:
     both = shade(skin, stack([first, second]))
     torch.testing.assert_close(both[:1], shade(skin, first)[:1])
     torch.testing.assert_close(both[1:], shade(skin, second)[1:])
+
+
+# `paper` scatters in texels, over holes too, as printed.
+@pytest.mark.parametrize(
+    ("mode", "subsurface_mm"),
+    [*itertools.product(["dielectric", "physical", "ggx"], [0.0, 1.4]), ("paper", 0.0)],
+)
+def test_a_texel_without_surface_is_black_and_reaches_no_gradient_whatever_its_maps_hold(
+    mode: str, subsurface_mm: float
+) -> None:
+    rng = np.random.default_rng(5)
+    skin, lights = random_skin(rng), random_lights(rng)
+    skin.area[:, :, 1, 2] = 0
+    options = ShadeOptions(mode=mode, subsurface_mm=subsurface_mm)
+    expected = shade(skin, lights, options)
+    for name in CHANNELS:
+        value = getattr(skin, name)
+        if value is None:
+            continue
+        for broken in (float("nan"), float("inf")):
+            lost = value.clone()
+            lost[:, :, 1, 2] = broken
+            if name == "area" and broken > 0:
+                continue
+            leaves = {
+                field: getattr(lights, field).clone().requires_grad_()
+                for field in ("position_mm", "rgb", "ambient_rgb", "camera_mm")
+            }
+            lost.requires_grad_()
+            picture = shade(
+                dataclasses.replace(skin, **{name: lost}),
+                dataclasses.replace(lights, **leaves),
+                options,
+            )
+            np.testing.assert_allclose(picture.detach(), expected, rtol=1e-12, err_msg=name)
+            assert not picture[:, :, 1, 2].any(), name
+            picture.sum().backward()
+            for field, leaf in {**leaves, name: lost}.items():
+                assert leaf.grad is None or torch.isfinite(leaf.grad).all(), (name, field)

@@ -263,7 +263,7 @@ def test_what_names_the_person_still_is_reported_and_exits_2(
     assert ended.code == 2
     assert f"still there: {lab / 'notes.txt'}" in ended.out
     assert "others.txt" not in ended.out
-    assert "1 file that still show or name" in ended.err
+    assert "1 file that still shows or names" in ended.err
 
 
 def test_a_pseudonym_is_found_in_texts_of_any_suffix_and_in_tables_of_offices(

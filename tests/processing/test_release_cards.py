@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from lightstage.errors import ConfigError, LightstageError
 from lightstage.formats.files import sha256_file
-from processing.dataset import About, Answers, PublishConfig, Store, build_store
+from processing.dataset import About, Answers, PublishConfig, Store, build_store, statements
 from processing.dataset.about import NEEDED, read_about
 from processing.dataset.groups import FEWEST, published_counts
 from processing.dataset.scan import AGE_BANDS, OLDEST, SEXES, age_band
@@ -261,3 +261,19 @@ def test_every_age_has_one_band() -> None:
     assert list(dict.fromkeys(bands)) == [*AGE_BANDS, OLDEST]
     assert (age_band(17.99), age_band(18)) == ("under 18", "18 to 29")
     assert len(set(SEXES)) == 3
+
+
+@pytest.mark.parametrize("simulated", [2, 3])
+def test_photographs_are_spoken_of_only_where_somebody_was_photographed(simulated: int) -> None:
+    facts = {"counts": {"subjects": 3}, "consent": {"subjects_simulated": simulated}}
+    told = (
+        statements.preprocessing(facts),
+        statements.raw_data(facts),
+        statements.errors(facts),
+    )
+    nobody = simulated == 3
+    assert [("Noise of the cameras" in told[2]), told[0].startswith("Of the photographs")] == [
+        not nobody
+    ] * 2
+    assert told[0].startswith("There were no photographs") == nobody
+    assert told[1].startswith("There are no photographs") == nobody

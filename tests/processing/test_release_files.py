@@ -173,6 +173,48 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
+@pytest.mark.parametrize("form", ["zarr", "webdataset"])
+def test_verify_names_what_is_missing_changed_and_foreign_in_a_release(
+    tmp_path: Path,
+    store: Store,
+    run_command: Callable[..., Any],
+    form: Literal["zarr", "webdataset"],
+) -> None:
+    out = publish(store, tmp_path / "out", SEED, dataclasses.replace(SMALL, form=form))
+    whole = run_command("processing", "dataset", "verify", out)
+    assert whole.code == 0, whole.err
+    listed = json.loads((out / "checksums.json").read_text())["files"]
+    assert f"a release, {len(listed)} files as they were published" in whole.out
+    changed = next(name for name in listed if name.endswith(("/c/0/0/0/0", ".tar")))
+    data = bytearray((out / changed).read_bytes())
+    data[len(data) // 2] ^= 1
+    (out / changed).write_bytes(data)
+    (out / "DATASHEET.md").unlink()
+    (out / "notes.txt").write_text("mine")
+    ended = run_command("processing", "dataset", "verify", out)
+    assert ended.code == 2
+    assert (
+        f"{out}: found DATASHEET.md is missing; notes.txt is not of the release; {changed} has "
+        "changed, expected the files that were published. Copy the release again"
+    ) in " ".join(ended.err.split())
+    (out / "checksums.json").write_text('{"schema": "lightstage.checksums/1", "files": [1]}')
+    ended = run_command("processing", "dataset", "verify", out)
+    assert ended.code == 2
+    assert "checksums.json, files: found list, expected an object" in ended.err
+
+
+def test_a_command_of_scans_does_not_speak_of_training_where_it_is_given_a_release(
+    tmp_path: Path, store: Store, run_command: Callable[..., Any]
+) -> None:
+    out = publish(store, tmp_path / "out", SEED, SMALL)
+    for words in (("list", out), ("remove", "--subject", "bo", "--store", out)):
+        ended = run_command("processing", "dataset", *words)
+        assert ended.code == 2
+        assert "found 'published', expected 'store'" in ended.err
+        assert "dataset verify" in ended.err
+        assert "training" not in ended.err
+
+
 def test_a_form_that_there_is_none_of_is_refused() -> None:
     with pytest.raises(ConfigError, match="format: found 'csv', expected zarr or webdataset"):
         PublishConfig(form="csv")  # type: ignore[arg-type]

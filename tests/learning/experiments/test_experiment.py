@@ -127,8 +127,8 @@ def test_a_second_call_finds_all_done_and_the_report_can_be_written_without_data
     assert (finished / "reflectance-steps.svg").read_text().count("<circle ") == 3
 
 
-def test_the_sheet_has_a_row_for_each_person_held_out_and_light(
-    finished: Path, tmp_path: Path
+def test_the_sheet_has_a_row_for_each_person_held_out_and_light_and_warns_of_no_missing_one(
+    finished: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     out = shutil.copytree(finished, tmp_path / "out")
     for folder in (path.parent for path in out.glob("runs/*/*/figures.json")):
@@ -142,6 +142,7 @@ def test_the_sheet_has_a_row_for_each_person_held_out_and_light(
         heights.append(len(sheet))
     # Two lights of one person, then of two.
     assert (heights[0] - SHEET_TEXT_PX) * 2 == heights[1] - SHEET_TEXT_PX > 0
+    assert ".png" not in capfd.readouterr().err
 
 
 def test_runs_of_other_code_are_kept_apart_and_named(
