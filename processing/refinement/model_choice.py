@@ -32,6 +32,7 @@ from processing.refinement.joint import (
     Scattered,
     gloss_evidence,
     held_out,
+    near_matte,
     solve_jointly,
 )
 from processing.refinement.scene import Scene, View, from_edge, given_of, steady
@@ -300,7 +301,10 @@ def fitted(
         sums = np.zeros((len(scene.surface.vertices), 5))
         for k, sample in enumerate(samples):
             given = _given(scene, sample, normals[k], arounds[k], config)
-            normals[k] = solve_jointly(given, rounds=1).normal
+            solved = solve_jointly(given, rounds=1)
+            if not scene.lights.polarised:
+                solved = near_matte(solved, config.apart_deg)
+            normals[k] = solved.normal
             fit_from = slice(0, None, 2)
             some = _given(scene, sample, normals[k], arounds[k], config, fit_from)
             evidence = gloss_evidence(some) * sample.trust[fit_from, None]
