@@ -11,12 +11,14 @@ from hypothesis import strategies as st
 
 from lightstage.patterns import SEQUENCES, pattern_levels
 from processing.frames.read import Frames
+from processing.lighting.facets import BECKMANN
 from processing.refinement.config import RefineConfig
 from processing.refinement.every_pixel import solve_view
+from processing.refinement.finish import Maps
 from processing.refinement.gloss_search import find_gloss
 from processing.refinement.joint import NOISE_APART, near_matte
 from processing.refinement.joint_kernels import Solved
-from processing.refinement.scene import prepare_scene, read_view
+from processing.refinement.scene import Scene, prepare_scene, read_view
 from sim.light.world import World
 from tests.processing import lit_ball, shots
 from tests.processing.lit_ball import angle_deg
@@ -31,6 +33,31 @@ CONFIG = RefineConfig(
 )  # fmt: skip
 
 
+def refined(
+    tone: np.ndarray, specular: float, roughness: float, config: RefineConfig
+) -> tuple[Scene, Maps, np.ndarray]:
+    """Scene, maps and cosines to the camera of a simulated ball of one skin."""
+    ball = ball_subject()
+    ball = dataclasses.replace(
+        ball,
+        diffuse_albedo=np.broadcast_to(tone, ball.diffuse_albedo.shape),
+        specular_albedo=np.full_like(ball.specular_albedo, specular),
+        roughness=np.full_like(ball.roughness, roughness),
+    )
+    levels = np.stack([pattern_levels(name, RIG) for name in PATTERNS])
+    images = World(ball, RIG).photograph(CAMERA.id, levels)
+    lit = images.max(axis=(0, 3)) > 0
+    frames, lights = Frames.of(PATTERNS, images, lit), shots.rig_lights(RIG, PATTERNS)
+    scene = prepare_scene(ball.mesh, lights, [(CAMERA, lit)], config)
+    grid = read_view(frames, CAMERA, lit, scene, config)
+    scene, found, _ = find_gloss(scene, [grid], config)
+    solved = solve_view(scene, frames, CAMERA, lit, grid, found[0], config)
+    facing = np.zeros(lit.shape)
+    sight = lit_ball.see(lit_ball.Ball(radius_mm=80.0), CAMERA)
+    facing[sight.mask] = (sight.normals * sight.views).sum(axis=1)
+    return scene, solved.maps, facing[solved.mask]
+
+
 @pytest.mark.parametrize(
     ("albedo", "roughness", "within"),
     [
@@ -43,31 +70,26 @@ def test_dark_skin_with_strong_gloss_is_as_dark_aslant_as_from_the_front(
     albedo: tuple[float, float, float], roughness: float, within: float
 ) -> None:
     tone, specular = np.float32(albedo), 0.06
-    ball = ball_subject()
-    ball = dataclasses.replace(
-        ball,
-        diffuse_albedo=np.broadcast_to(tone, ball.diffuse_albedo.shape),
-        specular_albedo=np.full_like(ball.specular_albedo, specular),
-        roughness=np.full_like(ball.roughness, roughness),
-    )
-    levels = np.stack([pattern_levels(name, RIG) for name in PATTERNS])
-    images = World(ball, RIG).photograph(CAMERA.id, levels)
-    lit = images.max(axis=(0, 3)) > 0
-    frames, lights = Frames.of(PATTERNS, images, lit), shots.rig_lights(RIG, PATTERNS)
-    scene = prepare_scene(ball.mesh, lights, [(CAMERA, lit)], CONFIG)
-    grid = read_view(frames, CAMERA, lit, scene, CONFIG)
-    scene, found, _ = find_gloss(scene, [grid], CONFIG)
-    solved = solve_view(scene, frames, CAMERA, lit, grid, found[0], CONFIG)
-    facing = np.zeros(lit.shape)
-    sight = lit_ball.see(lit_ball.Ball(radius_mm=80.0), CAMERA)
-    facing[sight.mask] = (sight.normals * sight.views).sum(axis=1)
-    facing = facing[solved.mask]
-    maps = solved.maps
+    _, maps, facing = refined(tone, specular, roughness, CONFIG)
     for steep in ((facing > 0.35) & (facing < 0.7), facing > 0.7):
         off = maps.albedo[steep] / tone - 1
         assert np.sqrt((off**2).mean()) < within
         assert maps.specular[steep].mean() == pytest.approx(specular, rel=0.04)
         assert maps.roughness[steep].mean() == pytest.approx(roughness, rel=0.04)
+
+
+@pytest.mark.parametrize("albedo", [(0.65, 0.45, 0.35), (0.12, 0.07, 0.05)])
+@pytest.mark.parametrize("roughness", [0.06, 0.09])
+def test_the_lobe_of_oil_on_skin_is_found(
+    albedo: tuple[float, float, float], roughness: float
+) -> None:
+    config = dataclasses.replace(CONFIG, choice_pixels=9_000)
+    scene, maps, facing = refined(np.float32(albedo), 0.028, roughness, config)
+    seen = facing > 0.35
+    assert scene.facets == BECKMANN
+    assert np.median(maps.roughness[seen]) == pytest.approx(roughness, abs=0.01)
+    assert np.median(maps.specular[seen]) == pytest.approx(0.028, rel=0.05)
+    assert maps.albedo[seen].mean() == pytest.approx(np.mean(albedo), rel=0.06)
 
 
 def solved_of(
