@@ -17,7 +17,7 @@ from scipy import sparse
 from processing.lighting.lobe import SKIN_F0
 from processing.surface import LitSurface
 
-ROUGHNESS_RANGE = (0.12, 0.45)
+ROUGHNESS_RANGE = (0.05, 0.45)
 SPECULAR_RANGE = (0.0, 0.2)
 """Reflectances above .2 are metals, not faces."""
 LONGEST_STEP = 0.05

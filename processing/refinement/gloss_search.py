@@ -10,7 +10,7 @@ from lightstage.commands import ProgressCallback, quiet
 from processing.refinement.bounces import bounced_light, other_skin, vertex_irradiance
 from processing.refinement.config import RefineConfig
 from processing.refinement.gloss import better_gloss, sum_at_vertices
-from processing.refinement.joint import Scattered, gloss_evidence, solve_jointly
+from processing.refinement.joint import Scattered, gloss_evidence, near_matte, solve_jointly
 from processing.refinement.joint_kernels import Solved
 from processing.refinement.model_choice import Step, best_model
 from processing.refinement.scattering import scattered, unscattered
@@ -108,13 +108,17 @@ def doubt(grids: list[View], solved: list[Solved], config: RefineConfig) -> floa
 
 
 def solve_grid(scene: Scene, view: View, before: Solved | None, config: RefineConfig) -> Solved:
-    """One step with what the scene knows so far, from the step before or the mesh's normals."""
+    """One step with what the scene knows so far, from the step before or the mesh's normals.
+
+    Normals stay near those of chroma, which do not depend on the gloss that is still searched.
+    """
     if before is None:
         start = np.where(view.usable[:, None], view.sight.normals, 0)
         around = unscattered(len(start), len(scene.lights.patterns))
     else:
         start, around = before.normal, around_of(scene, view, before)
-    return solve_some(scene, view, ALL, start, around, config)
+    solved = solve_some(scene, view, ALL, start, around, config)
+    return solved if scene.lights.polarised else near_matte(solved, config.apart_deg)
 
 
 def solve_some(

@@ -25,6 +25,12 @@ from processing.refinement.joint_kernels import (
 )
 from processing.refinement.joint_light import Lamps, chunks_of
 
+NOISE_APART = 2.0
+"""So many standard deviations of its noise a matte normal may be from that of all readings where
+these are as well explained as they can be."""
+MOST_MISFIT = 256.0
+"""A larger misfit leaves no less of that distance."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Noise:
@@ -131,6 +137,35 @@ def solve_jointly(given: Given, rounds: int = 2) -> Solved:
     )
     solve_kernel(*_compiled(given), rounds, not given.lights.polarised, out)
     return out
+
+
+def near_matte(solved: Solved, apart_deg: float) -> Solved:
+    """Normals of all readings, turned back to the matte ones where gloss explains no such distance.
+
+    While the gloss is not known, what is mirrored beside what the model has of it turns the normal
+    of all readings, of dark and shiny skin by 10 degrees and more; about such normals evidence of
+    gloss leads astray. Chroma holds no gloss, so that the matte normal errs by noise alone. The
+    larger the misfit, the less the normal of all readings is believed.
+
+    Args:
+        solved: of which light that shows what is mirrored by its colour.
+        apart_deg: what the two may be apart without noise: light that wanders turns the matte one.
+
+    Returns:
+        The same with other normals; where there is no matte one the normal stays.
+    """
+    normal, matte = solved.normal.astype(float), solved.matte.astype(float)
+    both = (np.einsum("nk,nk->n", matte, matte) > 0.5) & (solved.matte_turn2 >= 0)
+    cosine = np.einsum("nk,nk->n", normal, matte)
+    aside = normal - cosine[:, None] * matte
+    sine = np.linalg.norm(aside, axis=1)
+    noise = np.sqrt(np.maximum(solved.matte_turn2, 0))
+    noise *= NOISE_APART / np.clip(solved.misfit, 1, MOST_MISFIT) ** 0.25
+    most = np.minimum(np.radians(apart_deg) + noise, np.pi)
+    far = both & (sine > 0) & (np.arctan2(sine, cosine) > most)
+    aside /= np.where(sine > 0, sine, 1)[:, None]
+    turned = np.cos(most)[:, None] * matte + np.sin(most)[:, None] * aside
+    return solved._replace(normal=np.where(far[:, None], turned, normal).astype(np.float32))
 
 
 def gloss_evidence(given: Given) -> np.ndarray:

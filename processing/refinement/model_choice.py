@@ -32,6 +32,7 @@ from processing.refinement.joint import (
     Scattered,
     gloss_evidence,
     held_out,
+    near_matte,
     solve_jointly,
 )
 from processing.refinement.scene import Scene, View, from_edge, given_of, steady
@@ -39,6 +40,9 @@ from processing.refinement.scene import Scene, View, from_edge, given_of, steady
 ROUNDS = 3
 """Steps by which gloss and normals are fitted to each model, from the same start: a model that went
 on from another's gloss would be farther from its own best."""
+SHINIER = (0.5, 0.25)
+"""Shares of `RefineConfig.roughness` that all models start from instead where that predicts better:
+`ROUNDS` steps do not go from the lobe of skin to that of a film of oil."""
 STRETCH = 1.2
 """By what factor a lobe's stretch is tried wider, as long as that helps."""
 MOST_STRETCHED = 2.0
@@ -172,12 +176,13 @@ def best_model(
     config = dataclasses.replace(config, noise_sensor=config.noise_sensor / side)
     samples = list(sampled([averaged(view, side) for view in views], wandering, config, side))
     few = [sample.thinned() for sample in samples]
+    scene, of_few = started(scene, few, groups, config)
 
     def fit(model: Model, to: list[Sample]) -> Fitted:
         return fitted(scene, model, to, groups, bounced, config)
 
     model = Model()
-    best, of_few = fit(model, samples), fit(model, few)
+    best = fit(model, samples)
     steps: dict[str, Step] = {}
     while True:
         tried: list[tuple[Step, Model, Fitted, Fitted]] = []
@@ -197,6 +202,20 @@ def best_model(
         step, model, best, of_few = max(taken, key=lambda each: each[0].gain)
         for other in taken:
             steps[other[0].name] = dataclasses.replace(other[0], taken=other[0] is step)
+
+
+def started(
+    scene: Scene, few: list[Sample], groups: np.ndarray, config: RefineConfig
+) -> tuple[Scene, Fitted]:
+    """The scene with the lobe width that all models start from, and the simplest of them."""
+    start, best = scene, fitted(scene, Model(), few, groups, None, config)
+    for share in SHINIER:
+        gloss = dataclasses.replace(scene.gloss, roughness=share * scene.gloss.roughness)
+        shinier = dataclasses.replace(scene, gloss=gloss)
+        found = fitted(shinier, Model(), few, groups, None, config)
+        if compared("shinier", best, found, few, False).taken:
+            start, best = shinier, found
+    return start, best
 
 
 def left_out_groups(patterns: Sequence[str]) -> np.ndarray:
@@ -300,7 +319,10 @@ def fitted(
         sums = np.zeros((len(scene.surface.vertices), 5))
         for k, sample in enumerate(samples):
             given = _given(scene, sample, normals[k], arounds[k], config)
-            normals[k] = solve_jointly(given, rounds=1).normal
+            solved = solve_jointly(given, rounds=1)
+            if not scene.lights.polarised:
+                solved = near_matte(solved, config.apart_deg)
+            normals[k] = solved.normal
             fit_from = slice(0, None, 2)
             some = _given(scene, sample, normals[k], arounds[k], config, fit_from)
             evidence = gloss_evidence(some) * sample.trust[fit_from, None]

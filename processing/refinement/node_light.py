@@ -36,6 +36,9 @@ RING_TAN = 0.08
 """Tangent of the ring's angle, 4.6 deg."""
 WIDEST_TAN = 0.2
 """Turns beyond this tangent, 11 deg, are not interpolated."""
+NARROWEST_LOBE = np.float32(0.12)
+"""A lobe of smaller m changes within the ring by more than a polynomial holds: each pixel sums its
+own light there."""
 AWAY = -0.5
 """Directions across normals turn smoothly unless these point away from the camera."""
 
@@ -243,4 +246,5 @@ def node_kernel(
         to[OTHERS + 3], to[OTHERS + 8] = others[i, 0], others[i, 1]
         to[OTHERS + 7] = own[ROUGHNESS]
         turn2 = to[TURN] * to[TURN] + to[TURN + 1] * to[TURN + 1]
-        good[i] = along > 0.5 and turn2 < WIDEST_TAN**2
+        holds = own[ROUGHNESS] >= NARROWEST_LOBE
+        good[i] = holds and along > 0.5 and turn2 < WIDEST_TAN**2

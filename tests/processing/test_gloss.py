@@ -142,7 +142,7 @@ def test_a_step_is_short_and_ends_within_the_range_of_faces() -> None:
     np.testing.assert_allclose(found.roughness, 0.28 + LONGEST_STEP)
     np.testing.assert_allclose(found.specular, SPECULAR_RANGE[1])
     found = better(
-        skin_gloss(COUNT, 0.14), perturbed_sums(np.full(COUNT, -5.0), np.full(COUNT, -1.0))
+        skin_gloss(COUNT, 0.08), perturbed_sums(np.full(COUNT, -5.0), np.full(COUNT, -1.0))
     )
     np.testing.assert_allclose(found.roughness, ROUGHNESS_RANGE[0])
     np.testing.assert_allclose(found.specular, SPECULAR_RANGE[0])

@@ -115,6 +115,13 @@ def test_eight_pixels_are_solved_as_each_alone(seed: int, lit: bool, shade: floa
     assert stated.max() < 1.1
 
 
+def test_nodes_hold_no_light_of_a_lobe_narrower_than_their_polynomials() -> None:
+    s = skin(0, LANES)
+    narrow = np.array([0.05, 0.06, 0.09, 0.119, 0.121, 0.2, 0.3, 0.45], np.float32)
+    known = nodes_at(dataclasses.replace(s, roughness=narrow))[1]
+    np.testing.assert_array_equal(known, narrow > 0.12)
+
+
 def test_noise_turns_eight_chroma_normals_by_as_much_as_is_predicted() -> None:
     s, noise = skin(5, LANES, noise=0, off_deg=0.3), Noise(sensor=0.005, model=0, shade=0)
     table, rng = nodes_at(s)[0], np.random.default_rng(0)
