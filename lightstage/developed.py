@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -42,6 +43,10 @@ EXPECTED = "red, green and blue of 8 or 16 bits"
 MOST_PIXELS = 300_000_000
 """Of a picture: a header that claims more would take all memory before the picture is known to be
 damaged."""
+
+
+MOST_PROFILE = 2**24
+"""Bytes of an unpacked profile: a few bytes of a damaged one may unpack to any number."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,9 +120,10 @@ def read_developed(path: Path, *, grey: bool = False) -> Developed:
             hint="Copy it again, or export it as one of these.",
         )
     profile, opaque = _check_tiff(data, path, grey) if kind == "TIFF" else (None, False)
-    pixels, embedded = _decoded(data, path)
-    if kind == "JPEG":
-        embedded = _jpeg_profile(data)
+    embedded = _jpeg_profile(data) if kind == "JPEG" else None
+    if kind == "PNG":
+        embedded, data = _png_profile(data)
+    pixels = _decoded(data, path)
     if grey and pixels.ndim == 2:
         pixels, profile, embedded = np.repeat(pixels[..., None], 3, axis=2), None, None
     codes = _colours(pixels, path, opaque=opaque)
@@ -197,6 +203,24 @@ def _jpeg_profile(data: bytes) -> bytes | None:
     return b"".join(parts[number] for number in sorted(parts)) or None
 
 
+def _png_profile(data: bytes) -> tuple[bytes | None, bytes]:
+    """A PNG's ICC profile, and the PNG without it.
+
+    libpng leaves out profiles that it holds for damaged, so that they would pass for sRGB, and
+    prints lines of its own about others.
+    """
+    for kind, place, size in chunks(Reader(io.BytesIO(data))):
+        if kind == b"iCCP":
+            _, _, packed = data[place : place + size].partition(b"\0")  # behind the profile's name
+            try:
+                # The first byte is the method of compression, of which there is one.
+                profile = zlib.decompressobj().decompress(packed[1:], MOST_PROFILE)
+            except zlib.error:
+                profile = b""
+            return profile, data[: place - 8] + data[place + size + 4 :]
+    return None, data
+
+
 def _check_png(data: bytes, path: Path, grey: bool = False) -> None:
     if len(data) < 26:
         raise _damaged(path)
@@ -260,24 +284,18 @@ def _damaged(path: Path) -> FormatError:
     )
 
 
-def _decoded(data: bytes, path: Path) -> tuple[np.ndarray, bytes | None]:
-    """A picture's pixels as OpenCV reads them, and the ICC profile of a PNG."""
+def _decoded(data: bytes, path: Path) -> np.ndarray:
+    """A picture's pixels as OpenCV reads them."""
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        pixels, kinds, values = cv2.imdecodeWithMetadata(
-            np.frombuffer(data, np.uint8), flags=cv2.IMREAD_UNCHANGED
-        )
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         raise _damaged(path) from None
     finally:
         cv2.utils.logging.setLogLevel(level)
     if pixels is None:
         raise _damaged(path)
-    embedded = None
-    for kind, value in zip(np.ravel(kinds), values, strict=True):
-        if kind == cv2.IMAGE_METADATA_ICCP:
-            embedded = np.asarray(value, np.uint8).tobytes()
-    return np.asarray(pixels), embedded
+    return np.asarray(pixels)
 
 
 def _colours(pixels: np.ndarray, path: Path, *, opaque: bool) -> np.ndarray:

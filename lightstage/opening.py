@@ -12,7 +12,7 @@ from pathlib import Path
 from lightstage.counting import counted
 from lightstage.developed import Developed, developed_kind, read_developed
 from lightstage.errors import FormatError, unreadable_file
-from lightstage.formats.exr import read_exr
+from lightstage.formats.exr import other_primaries, read_exr
 from lightstage.formats.orientation import of_libraw
 from lightstage.photo_file import identify_file
 
@@ -41,7 +41,7 @@ def open_photograph(path: Path) -> Opened:
 
     Raises:
         FormatError: damaged; of a format that LibRaw does not know; no photograph; without three
-            colours; with NaN; of fewer than 8 x 8 pixels.
+            colours, or with others than sRGB's; with NaN; of fewer than 8 x 8 pixels.
     """
     try:
         if developed_kind(path) is not None:
@@ -69,7 +69,17 @@ def _large_enough(path: Path, opened: Opened) -> Opened:
 def _linear_size(path: Path) -> tuple[int, int]:
     image = read_exr(path, finite=True)
     if image.ndim != 3:
-        raise FormatError(path, found="one channel", expected="R G B")
+        raise FormatError(
+            path, found="one channel", expected="R G B", hint="Export the photograph in colour."
+        )
+    if primaries := other_primaries(path):
+        raise FormatError(
+            path,
+            field="chromaticities",
+            found=primaries,
+            expected="those of sRGB (Rec. 709): maps are linear sRGB",
+            hint="Convert the photographs to linear sRGB, or export them so.",
+        )
     return image.shape[1], image.shape[0]
 
 

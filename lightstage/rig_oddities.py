@@ -23,6 +23,8 @@ BANK_SHARE = 0.1
 CENTRE_SHARE = 0.15
 """Share of the picture's side by which the principal point may be off the middle."""
 FOCAL_RATIO = 1.02
+SHORTEST, LONGEST = 0.3, 12.0
+"""Focal lengths of usual lenses, by the longer side of the picture."""
 FRONT_DEG = 60.0
 """Some camera is within this angle of +z, which is before the face."""
 NAMED = 5
@@ -248,6 +250,17 @@ def _of_camera(camera: Camera, centre: np.ndarray, radius: float) -> list[Findin
                 f"principal point ({camera.cx_px:.0f}, {camera.cy_px:.0f}) px",
                 f"near the middle of {camera.width_px} x {camera.height_px}",
                 "Were width and height swapped?",
+            )
+        )
+    side = max(camera.width_px, camera.height_px)
+    if not SHORTEST <= camera.fx_px / side <= LONGEST:
+        found.append(
+            _warn(
+                "focal-length",
+                where,
+                f"fx_px {camera.fx_px:.4g}",
+                f"{SHORTEST * side:.4g} to {LONGEST * side:.4g}, as of lenses for {side} px",
+                "Focal lengths are in pixels; is it in mm? Then divide it by the width of a pixel.",
             )
         )
     ratio = max(camera.fx_px, camera.fy_px) / min(camera.fx_px, camera.fy_px)

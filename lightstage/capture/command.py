@@ -23,7 +23,7 @@ from lightstage.commands import ConsentsOption, JsonFlag, finish, output_folder
 from lightstage.commands.outputs import try_folder
 from lightstage.counting import counted
 from lightstage.day import next_open, read_plan
-from lightstage.errors import ConfigError, FormatError, LightstageError, one_error
+from lightstage.errors import ConfigError, FormatError, LightstageError, PatternError, one_error
 from lightstage.findings import accepted_in_words
 from lightstage.formats.access import group_of, limited_access
 from lightstage.formats.consents import require_consents
@@ -187,11 +187,14 @@ def capture_command(
             return
         the_rig, order = unfinished(out)
     else:
-        the_rig, order = _new_order(
-            out, rig, _default(sequence, SEQUENCE), _default(subject, SUBJECT),
-            _default(expression, EXPRESSION),
-            consent, patterns, colour, settings,
-        )  # fmt: skip
+        try:
+            the_rig, order = _new_order(
+                out, rig, _default(sequence, SEQUENCE), _default(subject, SUBJECT),
+                _default(expression, EXPRESSION),
+                consent, patterns, colour, settings,
+            )  # fmt: skip
+        except PatternError as error:
+            raise error if plan is None else PatternError(f"{plan}, sequence: {error}") from None
 
     require_consents(consents, "capture", {order.subject: order.consent})
 

@@ -384,5 +384,5 @@ class _Problems:
                     _nearest(key, names),
                 )  # fmt: skip
             elif type(number) is not int or not 1 <= number <= MOST_TAKES:
-                self.add(f"takes.{key}", number, f"a whole number from 1 to {MOST_TAKES}")
+                self.add(f"takes.{key}", ascii(number), f"a whole number from 1 to {MOST_TAKES}")
         return dict(value)

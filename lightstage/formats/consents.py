@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -124,8 +124,9 @@ def read_consents(path: Path) -> Consents:
     value = read_json(path) if path.suffix.lower() == ".json" else read_toml_value(path)
     check_schema(path, value, SCHEMA)
     listed = value.get("consent", [])
-    if set(value) - {"schema", "consent"} or not isinstance(listed, list):
-        raise ConfigError(path, found="other keys", expected="schema, and a list of consent")
+    _require_keys(value, path, "", ("schema", "consent"))
+    if not isinstance(listed, list):
+        raise ConfigError(path, field="consent", found=ascii(listed)[:80], expected="a list")
     problems: list[LightstageError] = []
     by_id: dict[str, Consent] = {}
     for number, each in enumerate(listed, 1):
@@ -147,9 +148,19 @@ def read_consents(path: Path) -> Consents:
     return Consents(path, by_id)
 
 
+def _require_keys(value: Mapping[str, Any], path: Path, field: str, known: Sequence[str]) -> None:
+    """Refuse keys that no record has: one that is misspelt would not hold."""
+    if unknown := sorted(set(value) - set(known)):
+        shown = ", ".join(ascii(key)[:80] for key in unknown[:3])
+        raise ConfigError(
+            path, field=field, found=f"unknown keys: {shown}", expected=f"of {', '.join(known)}"
+        )
+
+
 def _consent(value: Any, path: Path, field: str) -> Consent:
-    if not isinstance(value, dict) or set(value) - set(KEYS):
-        raise ConfigError(path, field=field, found="other keys", expected=", ".join(KEYS))
+    if not isinstance(value, dict):
+        raise ConfigError(path, field=field, found=ascii(value)[:80], expected=", ".join(KEYS))
+    _require_keys(value, path, field, KEYS)
     consent_id = value.get("id")
     wanted = consent_problem(consent_id) if isinstance(consent_id, str) else "an id"
     if not isinstance(consent_id, str) or wanted is not None:

@@ -26,6 +26,8 @@ BLOCK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256)
 LONGEST_NAME = 255
 PRIVATE = ("owner", "comments", "latitude", "longitude")
 """Standard attributes that may name a person or a place [OpenEXR24]."""
+SRGB_PRIMARIES = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
+"""Chromaticities x, y of sRGB's red, green, blue and white [IEC61966]."""
 MOST_SHOWN = 100
 """Characters of the parts' names that a message repeats."""
 FULL_BYTES = 2**20
@@ -217,6 +219,8 @@ def _picture(
                     expected="R G B or Y",
                     hint="Export it again as RGB.",
                 )
+            if {"X", "Y"} <= channels.keys():  # Y alone is one of three here
+                raise _other_channels(parts, path)
             pixels = channels[next(key for key in keys if key in channels)]
             if pixels.dtype == object:
                 raise FormatError(
@@ -226,8 +230,40 @@ def _picture(
                     hint="Flatten the picture and export it again.",
                 )
             return pixels, windows
-    names = sorted({name for _, channels, _ in parts for name in channels})
-    raise FormatError(path, found=f"channels {names}", expected="R G B or Y")
+    raise _other_channels(parts, path)
+
+
+def _other_channels(
+    parts: list[tuple[str, dict[str, np.ndarray], list[Any]]], path: Path
+) -> FormatError:
+    """The error of a file whose channels have other names, which it lists as the file has them."""
+    names: set[str] = set()
+    for _, channels, _ in parts:
+        for name, pixels in channels.items():
+            colours = "RGBA"[: pixels.shape[2]] if pixels.ndim == 3 else ""
+            names |= {f"{name}.{colour}" for colour in colours} or {name}
+    return FormatError(
+        path,
+        found=f"channels {' '.join(sorted(names))}"[:MOST_SHOWN],
+        expected="R G B or Y, by these names",
+        hint="Rename its channels, or export the layer that is meant alone: capital letters "
+        "without a layer's name before them.",
+    )
+
+
+def other_primaries(path: Path) -> str:
+    """What a readable OpenEXR file gives as its colours where they are not sRGB's; else nothing.
+
+    A file without the attribute has the primaries of sRGB [OpenEXR24].
+    """
+    with OpenEXR.File(str(path), header_only=True) as file:
+        given = [part.header.get("chromaticities") for part in file.parts]
+    for values in given:
+        if values is not None and np.abs(np.subtract(values, SRGB_PRIMARIES)).max() > 0.003:
+            pairs = np.reshape(values, (4, 2))
+            colours = zip(("red", "green", "blue", "white"), pairs, strict=True)
+            return ", ".join(f"{name} ({x:.4g}, {y:.4g})" for name, (x, y) in colours)
+    return ""
 
 
 def private_attributes(path: Path) -> tuple[str, ...]:

@@ -19,6 +19,8 @@ SCHEMA = "lightstage.landmarks/1"
 LANDMARKS = "landmarks.json"
 """What a session calls its landmarks."""
 SCHEME = "ibug68"
+LEAST_PX = 2.0
+"""No face of which points can be clicked is so small."""
 COUNTS = {SCHEME: 68, "mediapipe468": 468}
 """Points of each scheme."""
 
@@ -74,7 +76,38 @@ def read_clicked(path: Path, rig: Rig) -> dict[str, np.ndarray]:
         raise FormatError(
             path, field="points_px", found=", ".join(unknown), expected="cameras of rig.json"
         )
+    for camera, points in points_px.items():
+        _require_in_photograph(path, camera, points, rig)
     return points_px
+
+
+def _require_in_photograph(path: Path, camera: str, points: np.ndarray, rig: Rig) -> None:
+    """Refuse points that are no pixels of a camera's photograph: shares of its sides, or far off.
+
+    A detector may guess points of a face that the photograph cuts off, somewhat outside of it.
+    """
+    known = points[np.isfinite(points).all(axis=1)]
+    if len(known) < 3:
+        return
+    size = np.array([rig.camera(camera).width_px, rig.camera(camera).height_px])
+    field, expected = f"points_px.{camera}", f"pixels of {size[0]} x {size[1]}"
+    if np.abs(known).max() <= LEAST_PX:
+        raise FormatError(
+            path,
+            field=field,
+            found=f"all points within {np.abs(known).max():.3g} px of the photograph's corner",
+            expected=expected,
+            hint="Are they shares of its width and height? Multiply them by these.",
+        )
+    middle = np.median(known, axis=0)
+    if ((middle < 0) | (middle > size)).any():
+        raise FormatError(
+            path,
+            field=field,
+            found=f"most points around ({middle[0]:.4g}, {middle[1]:.4g}), outside",
+            expected=expected,
+            hint="Were they found in a larger copy of the photograph, or in one on its side?",
+        )
 
 
 def write_points_px(points_px: dict[str, np.ndarray], path: Path, scheme: str = SCHEME) -> Path:

@@ -30,6 +30,11 @@ SCHEMA = "lightstage.lights/1"
 MOST_EXPONENT = 50.0
 """A spotlight narrower than this does not light a head evenly."""
 NEAREST_MM = 1.0
+OTHER_UNIT = 2.0
+"""A stage that is so many times as large as the rig's, or as small, is in another unit."""
+MOST_OFF = 0.25
+"""Share of the stage's radius by which half of the lamps may be off their nominal places: more are
+other lamps' places, or in other axes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,6 +145,7 @@ def read_measured_lights(path: Path, rig: Rig) -> MeasuredLights:
     if problems:
         raise one_error(problems)
     table = np.array(rows, float)
+    _require_places(table[:, :3], rig, path)
     facts = value.get("facts", {})
     return MeasuredLights(
         position_mm=table[:, :3],
@@ -151,6 +157,30 @@ def read_measured_lights(path: Path, rig: Rig) -> MeasuredLights:
         gain_sigma=table[:, 8],
         facts=facts if isinstance(facts, dict) else {},
     )
+
+
+def _require_places(places: np.ndarray, rig: Rig, path: Path) -> None:
+    """Refuse (L, 3) places in another unit than the rig's, in other axes, or of other lamps."""
+    radius, nominal = (
+        float(np.median(np.linalg.norm(p, axis=1))) for p in (places, rig.positions_mm)
+    )
+    if not 1 / OTHER_UNIT <= radius / nominal <= OTHER_UNIT:
+        raise FormatError(
+            path,
+            field="lights[].position_mm",
+            found=f"a stage of {radius:.4g} mm radius (median)",
+            expected=f"about {nominal:.4g} mm, as in rig.json",
+            hint="Positions are in mm; were they in metres, cm or inches?",
+        )
+    off = float(np.median(np.linalg.norm(places - rig.positions_mm, axis=1)))
+    if off > MOST_OFF * nominal:
+        raise FormatError(
+            path,
+            field="lights[].position_mm",
+            found=f"lamps {off:.4g} mm from their places in rig.json (median)",
+            expected=f"at most {MOST_OFF * nominal:.4g} mm",
+            hint="Are the axes those of the rig, and the ids those of the same lamps?",
+        )
 
 
 def _numbers(value: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -260,7 +260,7 @@ def require_plain(
         is_object = isinstance(holder, dict)
         pairs: Iterable[tuple[Any, Any]] = holder.items() if is_object else enumerate(holder)
         for key, inner in pairs:
-            kind = type(inner)
+            kind, hint = type(inner), ""
             if kind is dict or kind is list or kind is tuple:
                 if depth >= limits.depth:
                     _too_deep(where, limits, error)
@@ -276,12 +276,13 @@ def require_plain(
                 wrong = None
             else:  # TOML's dates and times
                 wrong = (f"a {kind.__name__}", "text, a number, true or false, a list or a table")
+                hint = f'A day or a time is a text here: write it in quotes, "{inner}".'
             if wrong is None and is_object and limits.plain_text:
                 wrong = _text_problem(key)
             if wrong is not None:
                 found, expected = wrong
                 field = _place(place, key, depth)
-                raise error(where, field=field, found=found, expected=expected)
+                raise error(where, field=field, found=found, expected=expected, hint=hint)
 
 
 def _place(place: str, key: str | int, depth: int) -> str:

@@ -29,6 +29,9 @@ from lightstage.patterns.weights import unevenness
 from lightstage.rig import Rig, default_rig, load_rig
 from lightstage.sequence import plan_shots
 
+DARK = ("dark", "dark@parallel", "dark@cross")
+"""Patterns in which no lamp is meant to be lit."""
+FULL_OF_BANKS = ("full@parallel", "full@cross")
 MOST_PICTURES = 600
 """Patterns that one sheet shows."""
 
@@ -71,12 +74,17 @@ def patterns_command(
     planes = on_plane(the_rig)
     rows = [_row(s.pattern, s.levels, the_rig, planes) for s in shots]
     even = unevenness(the_rig, drive_levels("full", the_rig, how, emitters=colours))
+    # One polarisation bank has half of the lamps: its field is less even than that of both.
+    banks = {s.pattern: unevenness(the_rig, s.levels) for s in shots if s.pattern in FULL_OF_BANKS}
+    unlit = [s.pattern for s in shots if s.pattern not in DARK and not s.levels.any()]
     facts: dict[str, Any] = {
         "sequence": sequence,
         "drive": how,
         "emitters": list(colours),
         "lights": len(the_rig.lights),
         "full_unevenness": round(even, 5),
+        "bank_unevenness": {name: round(share, 5) for name, share in banks.items()},
+        "unlit": unlit,
         "on_plane": planes,
         "patterns": rows,
         "own": {
@@ -90,6 +98,8 @@ def patterns_command(
             some = ", ".join(map(str, ids[:12])) + (" .." if len(ids) > 12 else "")
             lit = counted(len(ids), "lamp")
             print(f"On the plane {axis} = 0, half in each of a pair: {lit} ({some})")
+        if unlit:
+            print(f"No lamp is lit in {', '.join(unlit)}: such photographs are dark.")
         if any(s.pattern.startswith("mux-") for s in shots) and not has_coloured_lights(the_rig):
             print("These lamps are not red, green and blue: mux-1 and mux-2 hold one diagonal")
             print("gradient and its complement, not six. Take `binary` for normals.")
@@ -99,8 +109,7 @@ def patterns_command(
     drawn = "" if out is None else f", drawn in {out}"
     finish(
         f"{counted(len(shots), 'pattern')} on {counted(len(the_rig.lights), 'lamp')} driven "
-        f"{_words(how)}; "
-        f"full is uneven by {100 * even:.2f} %{drawn}",
+        f"{_words(how)}; {_uneven(even, banks)}{drawn}",
         facts,
         as_json,
     )
@@ -113,6 +122,12 @@ def _drive(drive: str) -> Drive:
     raise PatternError(
         "--drive", found=repr(drive), expected=" or ".join(map(str, get_args(Drive)))
     )
+
+
+def _uneven(full: float, banks: dict[str, float]) -> str:
+    """How uneven `full` is, and each bank's part of it in which a lamp is lit."""
+    parts = [f", {name} by {100 * share:.2f} %" for name, share in banks.items() if share > 0]
+    return f"full is uneven by {100 * full:.2f} %{''.join(parts)}"
 
 
 def _words(drive: Drive) -> str:

@@ -17,6 +17,9 @@ COLOUR = re.compile(r"[a-z0-9-]{1,32}")
 LEAST_MM = 20.0
 """No head fits into a stage of a smaller radius: its positions are in another unit."""
 
+ROTATION_OFF = 1e-4
+"""By so much products of a rotation's rows may be off 0 and 1."""
+
 
 def rig_faults(rig: Rig, where: str | Path) -> list[LightstageError]:
     """Every fault that would make a well-formed rig unusable, not the first alone."""
@@ -71,13 +74,33 @@ def rig_faults(rig: Rig, where: str | Path) -> list[LightstageError]:
         if camera.id in names:
             fault(field, "the same id twice", "an id of its own")
         names.add(camera.id)
-        if not min(camera.fx_px, camera.fy_px) > 0:
-            fault(field, "a focal length that is not above 0", "positive fx_px and fy_px")
-        rotation = camera.cam_from_world[:, :3]
-        orthogonal = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
-        if not orthogonal or np.linalg.det(rotation) < 0:
-            fault(f"{field}.cam_from_world", "no rotation", "a right-handed orthonormal 3 x 3")
+        for name, focal in (("fx_px", camera.fx_px), ("fy_px", camera.fy_px)):
+            if not focal > 0:
+                fault(f"{field}.{name}", f"{focal:g}", "a focal length in pixels, above 0")
+        if wrong := _no_rotation(camera.cam_from_world[:, :3]):
+            found, hint = wrong
+            fault(
+                f"{field}.cam_from_world",
+                f"no rotation: {found}",
+                "a right-handed orthonormal 3 x 3 and a translation in mm",
+                hint,
+            )
     return problems
+
+
+def _no_rotation(matrix: np.ndarray) -> tuple[str, str] | None:
+    """Why a 3 x 3 is no rotation, and what to try; None where it is one."""
+    lengths = np.linalg.norm(matrix, axis=1)
+    off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    if off > ROTATION_OFF:
+        rounded = "Give its numbers with six decimals." if off < 100 * ROTATION_OFF else ""
+        if np.abs(lengths - 1).max() > ROTATION_OFF:
+            found = f"its rows have lengths of {lengths.min():.6g} to {lengths.max():.6g}"
+            return found, rounded or "Divide a scale out of it: it belongs to the world's unit, mm."
+        return f"its rows are not at right angles, by {off:.2g}", rounded
+    if np.linalg.det(matrix) < 0:
+        return "it mirrors", "World and camera are right-handed: x right, y down, z ahead."
+    return None
 
 
 def _wiring_faults(rig: Rig, where: str | Path) -> list[LightstageError]:

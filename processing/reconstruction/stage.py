@@ -325,7 +325,10 @@ def reconstruct_views(
             "reconstruct",
             found=f"something to see in {counted(len(showing), 'view')}",
             expected="at least two that overlap",
-            hint="Are the photographs black, or the cameras turned away?",
+            hint="Are the photographs black, or the cameras turned away?"
+            if len(views) > 1
+            else "One camera makes no mesh: give your own with --mesh, or take its coarse maps "
+            "with --until separate.",
         )
     names = [view.camera.id for view in views]
     if config.colmap_from:

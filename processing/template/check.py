@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.counting import counted
-from lightstage.formats.mesh import connected, directed_edges, vertex_normals
+from lightstage.formats.mesh import connected, directed_edges
 from lightstage.formats.template import REGIONS, Template
 from lightstage.meshlab import reason_without, self_intersecting
 from processing.errors import ProcessingError
@@ -17,6 +17,7 @@ from processing.registration.flips import folded_triangles, grown
 from processing.registration.rigid import umeyama
 from processing.registration.stage import open_to_sky
 from processing.template.config import CheckConfig
+from processing.template.frame import is_inside_out
 from processing.template.mesh_faults import (
     Border,
     borders,
@@ -205,10 +206,7 @@ def _landmarks(
     if not config.smallest_size <= size <= config.largest_size:
         text = f"the face is {size:.3g} times as large as usual: is the mesh in mm?"
         found.append(Finding("size", text, NOWHERE, unusable=True))
-    normals = vertex_normals(vertices, triangles)[marks]
-    outward = vertex_normals(own.mesh.vertices, own.mesh.triangles())[own.landmarks]
-    agree = np.einsum("nk,nk->n", normals @ likeness.rotation.T, outward)
-    if np.median(agree) < -0.5:
+    if is_inside_out(vertices, triangles, marks, own, likeness.rotation):
         text = "its triangles run clockwise seen from outside, so that it is inside out"
         found.append(Finding("inside out", text, NOWHERE, unusable=True))
         return

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from lightstage.errors import FormatError
+from lightstage.formats.mesh import vertex_normals
+from lightstage.formats.template import Template
 from processing.registration.rigid import Similarity, umeyama
 from processing.template.config import ImportConfig
 from processing.units import Unit, largest_side
@@ -76,3 +78,24 @@ def head_from_mesh(
         )
     rigid = umeyama(marks, own_mm)
     return Similarity(rigid.rotation, rigid.translation, unit.mm)
+
+
+def is_inside_out(
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    landmarks: np.ndarray,
+    own: Template,
+    rotation: np.ndarray,
+) -> bool:
+    """Whether a head's triangles run clockwise seen from outside, by our template's landmarks.
+
+    Args:
+        vertices: (n, 3).
+        triangles: (t, 3).
+        landmarks: (68,) vertices.
+        own: our template.
+        rotation: 3 x 3 from the head's axes to the head frame.
+    """
+    normals = vertex_normals(vertices, triangles)[landmarks]
+    outward = vertex_normals(own.mesh.vertices, own.mesh.triangles())[own.landmarks]
+    return bool(np.median(np.einsum("nk,nk->n", normals @ rotation.T, outward)) < -0.5)

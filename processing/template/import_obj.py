@@ -17,7 +17,7 @@ from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.template import Template
 from processing.template.build import with_maps
 from processing.template.config import ImportConfig
-from processing.template.frame import head_from_mesh
+from processing.template.frame import head_from_mesh, is_inside_out
 from processing.template.own import own_template
 from processing.template.regions import guessed_regions, read_regions
 from processing.units import Unit, likely_unit
@@ -48,7 +48,7 @@ def import_obj(
 
     Raises:
         FormatError: a mesh without UV or with UV outside of one tile, landmarks that are not 68 on
-            the mesh, of no face, or of no face's size in the unit.
+            the mesh, of no face, or of no face's size in the unit; a mesh that is inside out.
         RegistrationError: our template cannot be fitted to it, where regions are not given.
     """
     settings = config or ImportConfig()
@@ -61,6 +61,14 @@ def import_obj(
         mesh.vertices, marks, own.mesh.vertices[own.landmarks], unit, path, settings
     )
     mesh = mesh.with_vertices(motion.apply(mesh.vertices))
+    if is_inside_out(mesh.vertices, mesh.triangles(), marks, own, np.eye(3)):
+        raise FormatError(
+            path,
+            field="faces",
+            found="faces that run clockwise seen from outside: the head is inside out",
+            expected="counter-clockwise",
+            hint="Turn all faces over in a mesh editor (flip normals), and export it again.",
+        )
     if regions is None:
         found = guessed_regions(mesh, marks, own, settings, progress=progress)
     else:
@@ -125,14 +133,22 @@ def read_landmarks(
                 path, field="scheme", found=repr(value.get("scheme")), expected=repr(SCHEME)
             )
         given, count = value["vertices"], len(mesh.vertices)
-        right = isinstance(given, list) and all(type(i) is int and 0 <= i < count for i in given)
-        if not right or len(given) != COUNTS[SCHEME]:
+        if not isinstance(given, list) or len(given) != COUNTS[SCHEME]:
             raise FormatError(
                 path,
                 field="vertices",
                 found=f"{len(given)}" if isinstance(given, list) else type(given).__name__,
-                expected=f"{COUNTS[SCHEME]} indices below the mesh's {count} vertices",
+                expected=f"{COUNTS[SCHEME]} indices of vertices",
             )
+        for index, vertex in enumerate(given):
+            if type(vertex) is not int or not 0 <= vertex < count:
+                raise FormatError(
+                    path,
+                    field=f"vertices[{index}]",
+                    found=ascii(vertex)[:80],
+                    expected=f"a vertex of the mesh, 0 to {count - 1}",
+                    hint="Vertices are numbered from 0; an OBJ's own faces count from 1.",
+                )
         marks = np.array(given, np.int64)
         loose = np.flatnonzero(~np.isin(marks, used))
         if len(loose):

@@ -191,6 +191,28 @@ def test_a_profile_that_cannot_be_used_is_one_message(tmp_path, profile, message
         read(tmp_path, tiff(ramp(), profile))
 
 
+@pytest.mark.parametrize("kind", ["png", "tiff", "jpeg"])
+@pytest.mark.parametrize(
+    ("profile", "message"),
+    [(b"abc", "damaged"), (icc()[:120], "damaged"), (icc(leave_out=(b"rTRC",)), "without curves")],
+)
+def test_a_profile_that_a_decoder_leaves_out_is_not_taken_for_srgb(
+    tmp_path, capfd, kind, profile, message
+):
+    write = {"png": png, "tiff": tiff, "jpeg": jpeg}[kind]
+    with pytest.raises(FormatError, match=f"ICC profile: found .*{message}"):
+        read(tmp_path, write(ramp(), profile=profile))
+    assert capfd.readouterr() == ("", "")  # libpng prints by itself
+
+
+def test_a_pngs_profile_that_is_damaged_when_unpacked_is_refused(tmp_path):
+    body = b"made\0\0" + zlib.compress(icc())[:-30]
+    packed = b"made\0\0" + b"no zlib"
+    for chunk, found in ((body, "damaged"), (packed, "damaged one of 0 bytes")):
+        with pytest.raises(FormatError, match=f"ICC profile: found a {found}"):
+            read(tmp_path, png(ramp(), iCCP=chunk))
+
+
 @given(place=st.integers(128, 480), byte=st.integers(0, 255))
 @settings(max_examples=150, deadline=None)
 def test_a_damaged_profile_is_refused_or_finite(place, byte):

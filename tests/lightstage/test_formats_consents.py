@@ -88,9 +88,21 @@ def test_json_says_the_same_as_toml(registry: Path, tmp_path: Path) -> None:
         ('[[consent]]\nid = "C-1"\n', "C-1, purposes: found None"),
         ('[[consent]]\nid = "C-1"\npurposes = []\nuntil = "soon"\n', "C-1, until: found 'soon'"),
         ('[[consent]]\nid = "C-1"\npurposes = []\nuntil = ""\n', "C-1, until: found ''"),
-        ('[[consent]]\nid = "C-1"\npurposes = []\nname = "Ann"\n', "expected id, purposes, until"),
-        ("people = []\n", "found other keys"),
-        ("consent = 3\n", "found other keys"),
+        (
+            '[[consent]]\nid = "C-1"\npurposes = []\nname = "Ann"\n',
+            "unknown keys: 'name', expected of id, purposes, until",
+        ),
+        (
+            '[[consent]]\nid = "C-1"\nuntill = "2031-01-31"\n',
+            "consent 1: found unknown keys: 'untill'",
+        ),
+        ("people = []\n", "found unknown keys: 'people', expected of schema, consent"),
+        ("consent = 3\n", "consent: found 3, expected a list"),
+        (
+            '[[consent]]\nid = "C-1"\nuntil = 2031-01-31\n',
+            "consent[0].until: found a date, expected text, a number, true or false, a list or a "
+            'table. A day or a time is a text here: write it in quotes, "2031-01-31".',
+        ),
     ],
 )
 def test_a_registry_that_is_wrong_is_refused(tmp_path: Path, text: str, message: str) -> None:

@@ -196,8 +196,23 @@ def test_other_channels_are_refused(tmp_path):
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with OpenEXR.File(header, {"Z": np.ones((2, 2), np.float32)}) as file:
         file.write(str(tmp_path / "a.exr"))
-    with pytest.raises(FormatError, match=r"channels \['Z'\], expected R G B or Y"):
+    with pytest.raises(FormatError, match=r"channels Z, expected R G B or Y"):
         read_exr(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        ("XYZ", "channels X Y Z, expected"),  # it was read as Y alone
+        ("rgb", "channels b g r, expected R G B or Y, by these names. Rename"),
+        (("beauty.R", "beauty.G", "beauty.B"), "channels beauty.B beauty.G beauty.R, expected"),
+    ],
+)
+def test_channels_of_other_names_are_refused_by_the_names_that_the_file_has(tmp_path, names, found):
+    grey = np.ones((4, 6), np.float32)
+    path = write_parts(tmp_path / "a.exr", ("", dict.fromkeys(names, grey)))
+    with pytest.raises(FormatError, match=found):
+        read_exr(path)
 
 
 def test_finite_arrays_pass():

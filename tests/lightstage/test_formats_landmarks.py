@@ -92,8 +92,36 @@ def test_landmarks_in_pictures_need_their_schema(tmp_path):
 
 
 def test_landmarks_of_a_camera_that_the_rig_lacks_are_refused(tmp_path, small_rig):
-    path = write_points_px({"cam0": points(2), "Cam1": points(2)}, tmp_path / "landmarks.json")
+    px = points(2) / 25  # of 32 x 48
+    path = write_points_px({"cam0": px, "Cam1": px}, tmp_path / "landmarks.json")
     with pytest.raises(FormatError, match=r"points_px: found Cam1, expected cameras of rig\.json"):
         read_clicked(path, small_rig)
-    write_points_px({"cam0": points(2)}, path)
+    write_points_px({"cam0": px}, path)
     assert list(read_clicked(path, small_rig)) == ["cam0"]
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (
+            lambda share, _: share,
+            r"points_px.cam0: found all points within 0\.\d+ px of .* shares",
+        ),
+        (
+            lambda share, size: share * size * [4, 1],
+            r"found most points around \(82\.85, 29\.96\), outside",
+        ),
+        (lambda share, size: share * size - [0, size[1]], "expected pixels of 32 x 48"),
+    ],
+    ids=["shares of the sides", "a larger copy", "above"],
+)
+def test_landmarks_that_are_no_pixels_of_their_photograph_are_refused(
+    tmp_path, small_rig, points, message
+):
+    size = np.array([small_rig.cameras[0].width_px, small_rig.cameras[0].height_px])
+    share = np.random.default_rng(0).uniform(0.3, 0.9, (68, 2))
+    path = write_points_px({"cam0": points(share, size)}, tmp_path / "landmarks.json")
+    with pytest.raises(FormatError, match=message):
+        read_clicked(path, small_rig)
+    guessed = share * size * [1.3, 1]  # some are outside: the photograph cuts the face off
+    read_clicked(write_points_px({"cam0": guessed}, path), small_rig)

@@ -106,6 +106,25 @@ def test_photographs_that_name_a_person_or_a_place_are_refused(folder, tmp_path,
     assert not (tmp_path / "S").exists()
 
 
+def test_linear_photographs_of_other_colours_than_srgbs_are_refused(tmp_path, small_rig):
+    camera = small_rig.cameras[0]
+    rig = dataclasses.replace(small_rig, cameras=(camera,))
+    path = tmp_path / "one" / "full" / f"{camera.id}.exr"
+    path.parent.mkdir(parents=True)
+    srgb = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
+    acescg = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
+    for number, colours in enumerate((srgb, acescg)):
+        header = {"type": OpenEXR.scanlineimage, "chromaticities": colours}
+        with OpenEXR.File(header, {"RGB": np.ones((48, 32, 3), np.float32)}) as file:
+            file.write(str(path))
+        if colours is srgb:
+            import_session(tmp_path / "one", rig, tmp_path / f"S{number}", "p1", "neutral")
+            continue
+        with pytest.raises(FormatError, match=r"chromaticities: found red \(0.713, 0.293\), green"):
+            import_session(tmp_path / "one", rig, tmp_path / f"S{number}", "p1", "neutral")
+        assert not (tmp_path / f"S{number}").exists()
+
+
 def test_photographs_in_a_folder_frames_import_too(folder, tmp_path, small_rig):
     (tmp_path / "card").mkdir()
     folder.rename(tmp_path / "card" / "frames")

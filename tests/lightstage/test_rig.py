@@ -114,12 +114,33 @@ FAULTS = {
         lambda v: v["cameras"][1].update(id="cam0"),
         "camera cam0: found the same id twice",
     ),
-    "no focal length": (lambda v: v["cameras"][1].update(fx_px=0), "camera cam1"),
+    "no focal length": (
+        lambda v: v["cameras"][1].update(fy_px=-105),
+        "camera cam1.fy_px: found -105, expected a focal length in pixels",
+    ),
+    "a pose with a scale": (
+        lambda v: v["cameras"][1].update(
+            cam_from_world=[[0.001, 0, 0, 0], [0, 0.001, 0, 0], [0, 0, 0.001, 0]]
+        ),
+        "no rotation: its rows have lengths of 0.001 to 0.001, .* Divide a scale out",
+    ),
+    "a pose of three decimals": (
+        lambda v: v["cameras"][1].update(
+            cam_from_world=[[0.985, 0, 0.174, 0], [0, 1, 0, 0], [-0.174, 0, 0.985, 0]]
+        ),
+        "rows have lengths of 1 to 1.00025, .* with six decimals",
+    ),
+    "a pose that shears": (
+        lambda v: v["cameras"][1].update(
+            cam_from_world=[[1, 0, 0, 0], [0.6, 0.8, 0, 0], [0, 0, 1, 0]]
+        ),
+        "no rotation: its rows are not at right angles, by 0.6",
+    ),
     "mirrored": (
         lambda v: v["cameras"][1].update(
             cam_from_world=[[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]
         ),
-        "camera cam1.cam_from_world: found no rotation",
+        "camera cam1.cam_from_world: found no rotation: it mirrors, .* x right, y down, z ahead",
     ),
     "a camera's id that leads elsewhere": (
         lambda v: v["cameras"][1].update(id="../X"),

@@ -123,6 +123,7 @@ ODD = {
     ),
     "centre": with_camera(2, cx_px=100.0),
     "focal": with_camera(2, fx_px=1.2 * default_rig().cameras[2].fx_px),
+    "focal-length": with_camera(2, fx_px=105.0, fy_px=105.0),
     "same-place": with_camera(1, cam_from_world=default_rig().cameras[0].cam_from_world),
     "serial": with_camera(1, serial=default_rig().cameras[0].serial),
     "front": changed(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +130,32 @@ def test_every_fault_of_a_lights_file_is_in_one_message(tmp_path: Path) -> None:
     faults = ("lamp 3 twice", "lamp 4.position_mm", "lamp 5.rgb_gain", "no lamp 6")
     for word in (*faults, "exponent", "stray.x+"):
         assert word in message
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda places: places / 1000,
+            "a stage of 1.251 mm radius .* about 1250 mm, as in rig.json. .* metres",
+        ),
+        (lambda places: places / 10, "a stage of 125.1 mm radius"),
+        (
+            lambda places: places[:, [0, 2, 1]],
+            "mm from their places in rig.json .* at most 312.5 mm",
+        ),
+        (lambda places: places[::-1], "mm from their places in rig.json"),
+    ],
+    ids=["metres", "centimetres", "other axes", "other lamps"],
+)
+def test_measured_places_that_are_not_the_rigs_are_refused(
+    tmp_path: Path, change: Callable[[np.ndarray], np.ndarray], message: str
+) -> None:
+    known = measured(np.random.default_rng(2))
+    other = dataclasses.replace(known, position_mm=change(known.position_mm))
+    path = write_measured_lights(other, RIG, tmp_path / "l.json")
+    with pytest.raises(FormatError, match=rf"lights\[\].position_mm: found .*{message}"):
+        read_measured_lights(path, RIG)
 
 
 def test_a_newer_lights_file_is_refused(tmp_path: Path) -> None:

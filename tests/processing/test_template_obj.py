@@ -161,7 +161,21 @@ def refusals(mesh, tmp_path):
             good,
             value("beyond", {"scheme": "ibug68", "vertices": [10**6, *vertices[1:]]}),
             [],
-            "68 indices below",
+            "vertices[0]: found 1000000, expected a vertex of the mesh, 0 to",
+        ),
+        "null vertex": (
+            good,
+            value("hole", {"scheme": "ibug68", "vertices": [*vertices[:-1], None]}),
+            [],
+            "vertices[67]: found None",
+        ),
+        "inside out": (
+            obj(
+                "turned", Mesh(mesh.vertices, mesh.faces[:, ::-1], mesh.uvs, mesh.face_uvs[:, ::-1])
+            ),
+            marks,
+            ["--regions", value("all", {"skin": vertices})],
+            "turned.obj, faces: found faces that run clockwise",
         ),
         "scheme": (good, value("scheme", {"vertices": vertices}), [], "ibug68"),
         "unit": (good, marks, ["--unit", "cm"], "times as large"),

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from lightstage.day import PUBLISHED, DayPlan, PlannedSubject, read_plan, write_plan
 from lightstage.day.plan import parse_plan, plan_values
 from lightstage.errors import ConfigError, FormatError
+from lightstage.rig import default_rig, save_rig
 
 HEAD = 'schema = "lightstage.plan/1"\n'
 P07 = '[[subjects]]\nsubject = "P07"\nconsent = "C-2026-0041"\n'
@@ -56,6 +57,7 @@ def test_a_plan_of_one_person_has_the_published_seven_expressions(tmp_path: Path
         (HEAD + 'order = ["P07/smile", "P07/smile"]\n' + P07, ["each take once"]),
         (HEAD + '[takes]\n"P07/smile" = 0\n' + P07, ["a whole number from 1"]),
         (HEAD + '[takes]\n"P07/smile" = true\n' + P07, ["a whole number from 1"]),
+        (HEAD + '[takes]\n"P07/smile" = "2"\n' + P07, ["found '2', expected a whole number"]),
         (HEAD + "subject = 3\n" + P07, ["an unknown field"]),
         (HEAD + P07 + "note = 3\n", ["subjects[0].note", "an unknown field"]),
         (HEAD + "sequence = 3\n" + P07, ["sequence"]),
@@ -165,3 +167,13 @@ def test_capture_states_what_does_not_go_with_a_plan(tmp_path, run_command, word
     assert ended.code == 2
     assert part in ended.err
     assert [path.name for path in tmp_path.iterdir()] == ["plan.toml"]
+
+
+def test_a_plans_pattern_that_does_not_exist_is_named_with_the_plan(tmp_path, run_command) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(HEAD + 'sequence = "binery"\n' + P07)
+    rig = save_rig(default_rig(), tmp_path / "rig.json")
+    words = ("capture", "--leds", "serial:///dev/none", "--plan", plan, "--rig", rig)
+    ended = run_command("lightstage", *map(str, words))
+    assert ended.code == 2
+    assert f"{plan}, sequence: pattern 'binery': found an unknown name" in ended.err

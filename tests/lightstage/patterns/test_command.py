@@ -10,8 +10,9 @@ from typer.testing import CliRunner
 from lightstage.commands import make_app
 from lightstage.errors import ConfigError, LightstageError, PatternError
 from lightstage.formats.exr import write_exr
+from lightstage.patterns import drive_levels
 from lightstage.patterns.command import register
-from lightstage.rig import save_rig
+from lightstage.rig import load_rig, save_rig
 from tests.lightstage.patterns.rigs import rig_at
 
 
@@ -55,6 +56,37 @@ def test_a_sequence_is_told_pattern_by_pattern_with_the_evenness_of_full():
     assert lines[-1].startswith("7 patterns on 168 lamps driven by solid angle")
     assert "uneven by 0.50 %" in lines[-1]
     assert "uneven by 14.10 %" in run("binary", "--drive", "on-off")[-1]
+
+
+def spiral(count):
+    """(count, 3) lamps spread over a sphere of a metre."""
+    turn, height = np.arange(count) * np.pi * (3 - 5**0.5), 1 - (2 * np.arange(count) + 1) / count
+    ring = np.sqrt(1 - height**2)
+    return 1000 * np.stack([ring * np.cos(turn), height, ring * np.sin(turn)], axis=1)
+
+
+def test_the_evenness_of_each_bank_is_reported_beside_that_of_both(tmp_path):
+    places = spiral(40)
+    rig = save_rig_with_camera(tmp_path, places)  # banks in turn
+    facts = json.loads(run("polarised", "--rig", rig, "--json")[-1])
+    normals = spiral(20_000) / 1000
+    lamps = places / 1000
+    whole = np.clip(normals @ lamps.T, 0, None)
+    levels = drive_levels("full", load_rig(rig), "solid-angle")
+    for name, bank in (("full@parallel", slice(0, None, 2)), ("full@cross", slice(1, None, 2))):
+        light = whole[:, bank] @ levels[bank]
+        assert facts["bank_unevenness"][name] == pytest.approx(light.std() / light.mean(), rel=1e-2)
+        assert facts["bank_unevenness"][name] > 5 * facts["full_unevenness"]
+    last = run("polarised", "--rig", rig)[-1]
+    assert f"full@cross by {100 * facts['bank_unevenness']['full@cross']:.2f} %" in last
+
+
+def test_patterns_in_which_no_lamp_is_lit_are_named(tmp_path):
+    places = spiral(40)
+    dome = save_rig_with_camera(tmp_path, places[places[:, 2] > 0])
+    assert "No lamp is lit in z-: such photographs are dark." in run("binary", "--rig", dome)
+    assert json.loads(run("binary", "--rig", dome, "--json")[-1])["unlit"] == ["z-"]
+    assert json.loads(run("ambient,polarised", "--json")[-1])["unlit"] == []  # dark is meant to be
 
 
 def test_lights_on_a_splitting_plane_are_reported(octahedron):
