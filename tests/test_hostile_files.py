@@ -120,10 +120,10 @@ LIGHTS = {
     "schema": "lightstage.lights/1", "exponent": 1.0,
     "lights": [
         {
-            "id": i, "position_mm": [700.0, 1.0, 2.0], "rgb_gain": [1.0] * 3, "gain_sigma": 0.01,
-            "position_sigma_mm": 1.0, "residual_px": 0.5,
+            "id": light.id, "position_mm": [x + 1.0 for x in light.position_mm],
+            "rgb_gain": [1.0] * 3, "gain_sigma": 0.01, "position_sigma_mm": 1.0, "residual_px": 0.5,
         }
-        for i in range(4)
+        for light in RIG.lights
     ],
     "stray": {"full": np.zeros((3, 3, 4)).tolist()}, "facts": {},
 }  # fmt: skip

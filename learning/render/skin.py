@@ -127,7 +127,7 @@ def finite_without_surface(maps: SkinMaps) -> SkinMaps:
     scattering in all skin around, and in the gradients of lamps and camera.
     """
     empty = ~(maps.area > 0)
-    if not bool(empty.any()):
+    if empty.is_meta or not bool(empty.any()):  # tensors without values have no NaN to see
         return maps
     lost = {
         name: empty & ~torch.isfinite(value)

@@ -189,8 +189,9 @@ class SacnDevice(EndDevice):
         now_s = time.monotonic()
         for universe, source in list(self._sources.items()):
             if now_s - source.heard_s >= SOURCE_LOSS_S:
-                self.source_losses.append(universe)
-                self.silences += 1
                 del self._sources[universe]
                 if not self._leds.dead:
                     self._leds.light(self._with(universe, b""))
+                # Last: who sees that a source is lost sees its lights dark too.
+                self.silences += 1
+                self.source_losses.append(universe)

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from lightstage.errors import DiskFullError, FormatError
 from lightstage.formats.mesh import write_ply
 from lightstage.formats.processed import MAPS, ProcessedFolder
+from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path
 from processing import pipeline
 from processing.coarse_maps import (
@@ -294,11 +295,12 @@ def test_a_run_killed_while_it_writes_views_writes_them_at_the_next_call(
         patch.setattr(pipeline, "write_as_views", killed)
         with pytest.raises(KeyboardInterrupt):
             stages(session, out, config, "separate")
-    assert not pipeline.is_reported(out, "separate")
+    job = pipeline.Job(load_session(session), out, config, None, "")
+    assert not pipeline.is_reported(job, "separate")
     record = json.loads((out / "stages.json").read_text())["stages"]["separate"]
     assert not any(name.startswith("views/") for name in record["outputs"])
     assert stages(session, out, config, "separate") == []
-    assert pipeline.is_reported(out, "separate")
+    assert pipeline.is_reported(job, "separate")
     assert all(ProcessedFolder(out).view_path("cam0", n).is_file() for n in MAP_NAMES.values())
 
 
