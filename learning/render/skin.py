@@ -126,18 +126,16 @@ def finite_without_surface(maps: SkinMaps) -> SkinMaps:
     Such a texel's picture is made 0 by factors of 0, and 0 x NaN is NaN: in the picture, by
     scattering in all skin around, and in the gradients of lamps and camera.
     """
+    given = {name: value for name in CHANNELS if (value := getattr(maps, name)) is not None}
+    if maps.area.is_meta:  # tensors without values have no NaN to see
+        return maps
+    # A sum that is finite has no NaN: masks of all maps would take as long as the shading.
+    sums = [value.detach().sum(dtype=wide_enough(value)) for value in given.values()]
+    if bool(torch.isfinite(torch.stack(sums)).all()):
+        return maps
     empty = ~(maps.area > 0)
-    if empty.is_meta or not bool(empty.any()):  # tensors without values have no NaN to see
-        return maps
-    lost = {
-        name: empty & ~torch.isfinite(value)
-        for name in CHANNELS
-        if (value := getattr(maps, name)) is not None
-    }
-    if not bool(torch.stack([each.any() for each in lost.values()]).any()):
-        return maps
     finite: dict[str, Any] = {
-        name: torch.where(each, 0, getattr(maps, name)) for name, each in lost.items()
+        name: torch.where(empty & ~torch.isfinite(value), 0, value) for name, value in given.items()
     }
     return dataclasses.replace(maps, **finite)
 

@@ -17,6 +17,7 @@ from lightstage.formats.png import write_png
 from lightstage.patterns.drive import Drive, drive_levels, split_emitters
 from lightstage.patterns.names import (
     MEANINGS,
+    SEQUENCES,
     bank_mask,
     complement,
     has_coloured_lights,
@@ -29,9 +30,6 @@ from lightstage.patterns.weights import unevenness
 from lightstage.rig import Rig, default_rig, load_rig
 from lightstage.sequence import plan_shots
 
-DARK = ("dark", "dark@parallel", "dark@cross")
-"""Patterns in which no lamp is meant to be lit."""
-FULL_OF_BANKS = ("full@parallel", "full@cross")
 MOST_PICTURES = 600
 """Patterns that one sheet shows."""
 
@@ -75,8 +73,13 @@ def patterns_command(
     rows = [_row(s.pattern, s.levels, the_rig, planes) for s in shots]
     even = unevenness(the_rig, drive_levels("full", the_rig, how, emitters=colours))
     # One polarisation bank has half of the lamps: its field is less even than that of both.
-    banks = {s.pattern: unevenness(the_rig, s.levels) for s in shots if s.pattern in FULL_OF_BANKS}
-    unlit = [s.pattern for s in shots if s.pattern not in DARK and not s.levels.any()]
+    banks = {
+        s.pattern: unevenness(the_rig, s.levels)
+        for s in shots
+        if s.pattern in SEQUENCES["polarised"]
+    }
+    lit_by_none = [s.pattern for s in shots if not s.levels.any()]
+    unlit = [name for name in lit_by_none if name.partition("@")[0] != "dark"]
     facts: dict[str, Any] = {
         "sequence": sequence,
         "drive": how,

@@ -42,6 +42,7 @@ from processing.dataset.contents import (
     sums_of,
     write_entries,
 )
+from processing.dataset.hashes import differences
 from processing.dataset.scan import DatasetError, ScanEntry, read_scan
 from processing.dataset.store import CHUNK, DATASET, SCANS, SHARD, STORE, Store, open_store
 
@@ -401,24 +402,11 @@ def _verify_scan(folder: Path, entry: Entry) -> int:
         found = "another list of hashes" if listed.is_file() else "no list of hashes"
         raise DatasetError(listed, found=found, expected="the one that was written", hint=_LACKING)
     known: dict[str, str] = read_json(listed, SHARDS_SCHEMA)["files"]
-    there = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()} - {
-        SHARDS
-    }
-    wrong = [f"{name} is missing" for name in sorted(known.keys() - there)]
-    wrong += [f"{name} is not of the store" for name in sorted(there - known.keys())]
-    wrong += [
-        f"{name} has changed"
-        for name in sorted(known.keys() & there)
-        if sha256_file(folder / name) != known[name]
-    ]
-    if wrong:
-        differences = "; ".join(wrong[:4]) + (
-            f"; and {len(wrong) - 4} more" if len(wrong) > 4 else ""
-        )
+    if wrong := differences(folder, known, SHARDS, "the store"):
         raise DatasetError(
             folder,
             field=f"{entry.scan.subject}, {entry.scan.expression}",
-            found=differences,
+            found=wrong,
             expected="the files that were written",
             hint=_LACKING,
         )

@@ -23,6 +23,7 @@ import zarr
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.files import read_json, sha256_file, write_json
 from processing.dataset.arrays import written_whole
+from processing.dataset.hashes import differences
 from processing.dataset.scan import DatasetError
 
 CHANNELS: dict[str, int] = {
@@ -158,24 +159,11 @@ def verify_release(folder: Path, progress: ProgressCallback = quiet) -> int:
             expected="an object: the SHA-256 of each file",
             hint=COPY_AGAIN,
         )
-    there = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
-    there -= {CHECKSUMS}
-    both = sorted(known.keys() & there)
-    wrong = [f"{name} is missing" for name in sorted(known.keys() - there)]
-    wrong += [f"{name} is not of the release" for name in sorted(there - known.keys())]
-    for index, name in enumerate(both):
-        if sha256_file(folder / name) != known[name]:
-            wrong.append(f"{name} has changed")
-        progress(index + 1, len(both))
-    if wrong:
-        more = f"; and {len(wrong) - 4} more" if len(wrong) > 4 else ""
+    if wrong := differences(folder, known, CHECKSUMS, "the release", progress):
         raise DatasetError(
-            folder,
-            found="; ".join(wrong[:4]) + more,
-            expected="the files that were published",
-            hint=COPY_AGAIN,
+            folder, found=wrong, expected="the files that were published", hint=COPY_AGAIN
         )
-    return len(both)
+    return len(known)
 
 
 def give_one_time(folder: Path) -> None:
