@@ -204,6 +204,8 @@ def _counting(root: Path, time_ns: int, size: int) -> tuple[tuple[Path, int | No
     """Files and sizes of the photographs that count, of a journal of this time and size.
 
     The size is None where the journal, of an earlier version, does not have it.
+    `SessionState.accepted` has the same rule, on a journal whose every line is checked and whose
+    levels, megabytes of them, are read; a list of sessions does without both.
     """
     del time_ns, size  # they are the cache's: the journal of an ended session hardly ever changes
     takes: dict[tuple[str, str], dict[int, tuple[Path, int | None]]] = {}
