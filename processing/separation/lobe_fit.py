@@ -79,7 +79,7 @@ def maps_by_lobe(
     weight = 1 / np.sqrt(_variance(mean, mean, noise, config))
 
     def lobe_of(m: np.ndarray | float) -> np.ndarray:
-        return table_lobe(table, normal, views, m)
+        return table_lobe(table, points, normal, views, m)
 
     roughness, specular = _gloss(mean, e, weight, lobe_of, solved, mask, px_per_mm, config)
     lit, power = diffuse_light(rgb, e, lobe_of(roughness), specular)
@@ -89,7 +89,8 @@ def maps_by_lobe(
     facets = normal
     if relief != "diffuse":
         sigma = np.sqrt(_variance(mean, matte, noise, config))
-        found = mirror_normals(mean - matte, sigma, table, normal, views, roughness, config.mirror)
+        seen = (points, normal, views)
+        found = mirror_normals(mean - matte, sigma, table, *seen, roughness, config.mirror)
         facets = found.normal
     if relief == "detail":
         facets = with_detail(normal, facets, solved, mask, config.detail_mm * px_per_mm)

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit, prange
 
 from processing.separation.config import MirrorConfig
-from processing.separation.lobe_table import LobeTable, lobe_at, width_place
+from processing.separation.lobe_table import LobeTable, lobe_at, mirrored_to, width_place
 
 TURN = 0.02
 """Tangent of the turns by which derivatives are taken: a grid cell of the table, about."""
@@ -42,6 +42,7 @@ def mirror_normals(
     specular: np.ndarray,
     sigma: np.ndarray,
     table: LobeTable,
+    points_mm: np.ndarray,
     start: np.ndarray,
     views: np.ndarray,
     roughness: np.ndarray | float,
@@ -53,6 +54,7 @@ def mirror_normals(
         specular: (n, P) readings less the diffuse part.
         sigma: (n, P) standard deviations of them; infinite for a reading that is not to be used.
         table: the lobe of the P patterns.
+        points_mm: (n, 3) places of the pixels; 0 for the centre.
         start: (n, 3) unit diffuse normals, zero where there is none.
         views: (n, 3) unit, toward the camera.
         roughness: Beckmann's m, one or (n,).
@@ -68,8 +70,8 @@ def mirror_normals(
     _mirror(
         np.ascontiguousarray(specular, np.float64),
         np.ascontiguousarray(1 / np.maximum(sigma, 1e-30) ** 2, np.float64),
-        table.values,
-        table.roughness,
+        table,
+        np.ascontiguousarray(points_mm, np.float64),
         np.ascontiguousarray(views, np.float64),
         np.full(count, roughness, np.float64),
         math.radians(config.spread_deg),
@@ -108,19 +110,25 @@ def turn_by(
 
 @njit(cache=True)
 def _seen(
-    values: np.ndarray, layer: int, part: float, n: np.ndarray, v: np.ndarray, out: np.ndarray
+    table: LobeTable,
+    layer: int,
+    part: float,
+    place: np.ndarray,
+    n: np.ndarray,
+    v: np.ndarray,
+    out: np.ndarray,
 ) -> None:
-    facing = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
-    x, y, z = 2 * facing * n[0] - v[0], 2 * facing * n[1] - v[1], 2 * facing * n[2] - v[2]
-    lobe_at(values, layer, part, x, y, z, out)
+    """Fill (P,) `out` with a facet's lobe but for a factor, since the specular albedo is free."""
+    x, y, z = mirrored_to(table, place, n, v)
+    lobe_at(table.values, layer, part, x, y, z, out)
 
 
 @njit(parallel=True, cache=True)
 def _mirror(
     specular: np.ndarray,
     weight: np.ndarray,
-    values: np.ndarray,
-    grid: np.ndarray,
+    table: LobeTable,
+    points: np.ndarray,
     views: np.ndarray,
     roughness: np.ndarray,
     spread: float,
@@ -140,7 +148,7 @@ def _mirror(
             total += weight[i, k] * specular[i, k]
         if not math.isfinite(total):
             continue
-        layer, part = width_place(grid, roughness[i])
+        layer, part = width_place(table.roughness, roughness[i])
         across, up, turned = np.zeros(3), np.zeros(3), np.zeros(3)
         two_across(n, across, up)
         here, right, left = np.zeros(count), np.zeros(count), np.zeros(count)
@@ -149,15 +157,15 @@ def _mirror(
         information = 0.0
         for _ in range(rounds):
             turn_by(n, across, up, a, b, turned)
-            _seen(values, layer, part, turned, views[i], here)
+            _seen(table, layer, part, points[i], turned, views[i], here)
             turn_by(n, across, up, a + TURN, b, turned)
-            _seen(values, layer, part, turned, views[i], right)
+            _seen(table, layer, part, points[i], turned, views[i], right)
             turn_by(n, across, up, a - TURN, b, turned)
-            _seen(values, layer, part, turned, views[i], left)
+            _seen(table, layer, part, points[i], turned, views[i], left)
             turn_by(n, across, up, a, b + TURN, turned)
-            _seen(values, layer, part, turned, views[i], above)
+            _seen(table, layer, part, points[i], turned, views[i], above)
             turn_by(n, across, up, a, b - TURN, turned)
-            _seen(values, layer, part, turned, views[i], below)
+            _seen(table, layer, part, points[i], turned, views[i], below)
             shown = power = 0.0
             for k in range(count):
                 shown += weight[i, k] * specular[i, k] * here[k]

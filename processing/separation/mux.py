@@ -23,7 +23,14 @@ from processing.lighting.lights import (
 )
 from processing.readings import BRIGHTEST
 from processing.separation.config import SeparateConfig
-from processing.separation.lobe_table import LobeTable, lobe_at, lobe_table, table_lobe
+from processing.separation.lobe_table import (
+    LobeTable,
+    gain_over,
+    lobe_at,
+    lobe_table,
+    mirrored_to,
+    table_lobe,
+)
 from processing.separation.mirror import turn_by, two_across
 from processing.separation.view_readings import Pixels
 from processing.view_maps import PixelMaps
@@ -69,21 +76,24 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
     view = views[usable].mean(axis=0) if usable.any() else np.array([0.0, 0.0, 1.0])
     wide = (config.roughness, config.roughness + 0.1)
     tables = [lobe_table(each, view, wide) for each in channels]
+    points = np.zeros_like(views) if pixels.points_mm is None else pixels.points_mm
     start = np.where(usable[:, None], views, 0.0)
 
     first, _ = mux_normals(rgb, far, start, config.iterations)
-    layers = np.stack([table.values[0] for table in tables])
+    places = np.ascontiguousarray(points, np.float64)
+    # One width, and the channels as a table's layers: kernels take no list.
+    layers = tables[0]._replace(values=np.stack([table.values[0] for table in tables]))
     exact = np.ascontiguousarray(rgb, np.float64)
 
     def with_gloss(specular: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         normal, gap = first.copy(), np.zeros(len(rgb))
-        _descend(exact, specular, far, layers, views, ROUNDS, normal, gap)
+        _descend(exact, specular, far, layers, places, views, ROUNDS, normal, gap)
         return normal, gap
 
     gaps = np.stack([with_gloss(np.full(len(rgb), s))[1] for s in TRIALS])
     specular = np.where(usable, _specular(rgb, gaps, pixels, config), 0)
     normal, gap = with_gloss(specular)
-    lobe = _lobes(tables, normal, views, config.roughness)
+    lobe = _lobes(tables, points, normal, views, config.roughness)
     e = _irradiance(far, normal)
     power = (e * e).sum(axis=1)
     albedo = (e * (rgb - lobe * specular[:, None, None])).sum(axis=1)
@@ -163,7 +173,8 @@ def _apart(
     rgb: np.ndarray,
     specular: float,
     far: np.ndarray,
-    layers: np.ndarray,
+    layers: LobeTable,
+    place: np.ndarray,
     cell: int,
     n: np.ndarray,
     v: np.ndarray,
@@ -172,9 +183,10 @@ def _apart(
 ) -> None:
     """Fill (3,) `out`: how far each channel's ratio is off, as a share of its two readings."""
     facing = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
-    x, y, z = 2 * facing * n[0] - v[0], 2 * facing * n[1] - v[1], 2 * facing * n[2] - v[2]
+    x, y, z = mirrored_to(layers, place, n, v)
+    specular *= gain_over(layers, layers.roughness[0], facing, x, y, z)
     for c in range(3):
-        lobe_at(layers[c : c + 1], 0, 0.0, x, y, z, lobe)
+        lobe_at(layers.values, c, 0.0, x, y, z, lobe)
         one, two = rgb[0, c] - specular * lobe[0], rgb[1, c] - specular * lobe[1]
         light_one = light_two = 0.0
         for k in range(3):
@@ -190,7 +202,8 @@ def _descend(
     rgb: np.ndarray,
     specular: np.ndarray,
     far: np.ndarray,
-    layers: np.ndarray,
+    layers: LobeTable,
+    points: np.ndarray,
     views: np.ndarray,
     rounds: int,
     normal: np.ndarray,
@@ -206,7 +219,7 @@ def _descend(
         for _ in range(rounds + 1):
             two_across(n, across, up)
             cell = octahedral_cell(n[0], n[1], n[2], OCTAHEDRON)
-            seen = (specular[i], far, layers, cell)
+            seen = (specular[i], far, layers, points[i], cell)
             _apart(rgb[i], *seen, n, views[i], lobe, here)
             turn_by(n, across, up, TURN, 0.0, turned)
             _apart(rgb[i], *seen, turned, views[i], lobe, right)
@@ -280,10 +293,14 @@ def _irradiance(far: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def _lobes(
-    tables: list[LobeTable], normal: np.ndarray, views: np.ndarray, roughness: float
+    tables: list[LobeTable],
+    points: np.ndarray,
+    normal: np.ndarray,
+    views: np.ndarray,
+    roughness: float,
 ) -> np.ndarray:
     """(n, P, 3) B of each channel."""
-    return np.stack([table_lobe(t, normal, views, roughness) for t in tables], axis=2)
+    return np.stack([table_lobe(t, points, normal, views, roughness) for t in tables], axis=2)
 
 
 def _specular(
