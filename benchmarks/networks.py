@@ -32,7 +32,7 @@ from benchmarks.networks_people import KINDS, Who, chosen, make, simulated
 
 if TYPE_CHECKING:
     from benchmarks.networks_guesses import Neighbours
-    from benchmarks.networks_head import Lit, Task
+    from benchmarks.networks_head import Lit, Refining, Task
 
 COUNT, ROWS = 20, 768
 ICT_COUNT = 4
@@ -65,6 +65,9 @@ def main() -> None:
     parser.add_argument("--unseen", action="store_true", help="ICT's people that are kept apart")
     parser.add_argument("--quick", action="store_true", help="a head a kind, three lights, 384")
     parser.add_argument("--checkpoint", type=Path, help="a run; the shipped weights else")
+    parser.add_argument(
+        "--mesostructure", type=Path, help="a run of pores and folds; the shipped weights else"
+    )
     parser.add_argument("--sheet", type=Path, help="a sheet of pictures, .png")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     arguments = parser.parse_args()
@@ -80,6 +83,7 @@ def main() -> None:
         lights=_lights(arguments.lights, QUICK_LIGHTS if arguments.quick else tuple(GROUPS)),
         refine_seconds=SETTLES_SECONDS,
         checkpoint=arguments.checkpoint,
+        mesostructure=arguments.mesostructure,
         neighbours=neighbours(),
         pictures=arguments.sheet is not None,
         flawed=frozenset([who.name for who in heads if who.kind == "simulated"][:FLAWED]),
@@ -87,6 +91,7 @@ def main() -> None:
     lit = _all(heads, task, arguments.jobs)
     title = "Learning, whole-face network"
     title += f" of {arguments.checkpoint.name}" if arguments.checkpoint else ""
+    title += f", folds of {arguments.mesostructure.name}" if arguments.mesostructure else ""
     title += ", quick" if arguments.quick else ""
     title += ", kept apart" if arguments.unseen else ""
     # What is measured in part is beside the whole table, not in its place.
@@ -172,18 +177,19 @@ def neighbours() -> Neighbours:
 
 def seconds(who: Who, task: Task) -> str:
     """Seconds of network and refinement on one head, nothing beside them."""
-    from benchmarks.networks_head import network_of
+    from benchmarks.networks_head import network_of, refining
     from learning.whole.infer import infer_whole_face
 
     head, network = make(who, task.rows), network_of(task.checkpoint)
-    taken: dict[float, list[float]] = {0.0: [], task.refine_seconds: []}
+    ways: tuple[Refining, ...] = ({}, refining(task))
+    taken: list[list[float]] = [[], []]
     for name in TIMED_LIGHTS:
         texture = head.image(head.lit.under(light_of(name, 0)))
-        for most, each in taken.items():
+        for how, each in zip(ways, taken, strict=True):
             began = time.perf_counter()
-            infer_whole_face(network, texture, head.mesh, head.head_from_world, refine_seconds=most)
+            infer_whole_face(network, texture, head.mesh, head.head_from_world, **how)
             each.append(time.perf_counter() - began)
-    alone, refined = (float(np.mean(each)) for each in taken.values())
+    alone, refined = (float(np.mean(each)) for each in taken)
     return f"network {alone:.1f} s, refined {refined:.1f} s a texture of {task.rows} rows"
 
 

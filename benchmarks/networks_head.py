@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import zlib
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
 
@@ -29,10 +30,16 @@ from benchmarks.networks_scores import (
     squared,
 )
 from benchmarks.networks_sheet import strip
-from learning.checkpoint import load_whole_face, shipped_weights
+from learning.checkpoint import (
+    load_mesostructure,
+    load_whole_face,
+    shipped_mesostructure,
+    shipped_weights,
+)
 from learning.errors import MapsError
 from learning.infer import Inferred
 from learning.maps import SHININESS, TexturedHead, skin_maps_from
+from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import BANDS, WholeFaceNetwork
 from learning.relight import lit_texture, shadows_of
 from learning.render.uv import UvRaster, rasterise
@@ -50,6 +57,13 @@ COARSER = 2
 """New lights are seen at each second texel of each second row."""
 
 
+class Refining(TypedDict, total=False):
+    """Arguments of `infer_whole_face` with which it refines."""
+
+    refine_seconds: float
+    mesostructure: TrainedMesostructure
+
+
 @dataclasses.dataclass(frozen=True)
 class Task:
     """What is measured on each head.
@@ -59,6 +73,7 @@ class Task:
         lights: names of `networks_lights.GROUPS`.
         refine_seconds: most that refinement may take.
         checkpoint: a run; the shipped weights where None.
+        mesostructure: a run of the network of pores and folds; the shipped weights where None.
         neighbours: the fitted regression.
         pictures: whether strips for a sheet are made.
         flawed: heads whose textures are spoiled too, by name.
@@ -68,6 +83,7 @@ class Task:
     lights: tuple[str, ...]
     refine_seconds: float
     checkpoint: Path | None
+    mesostructure: Path | None
     neighbours: Neighbours
     pictures: bool
     flawed: frozenset[str]
@@ -102,6 +118,13 @@ class Lit:
 def network_of(checkpoint: Path | None) -> WholeFaceNetwork:
     """The network that is measured."""
     return load_whole_face(checkpoint or shipped_weights())[0]
+
+
+@functools.cache
+def relief_of(checkpoint: Path | None) -> TrainedMesostructure:
+    """The network of pores and folds that refinement uses, as `infer` does."""
+    network, about = load_mesostructure(checkpoint or shipped_mesostructure())
+    return TrainedMesostructure(network, about.texture_rows)
 
 
 def measure(who: Who, task: Task) -> list[Lit]:
@@ -172,19 +195,16 @@ def guesses(
     with_fit: bool,
 ) -> Found:
     """All guesses of a texture's albedo, (rows, columns, 3) linear each."""
-    pose = head.head_from_world
-    inputs = (texture, head.mesh, pose)
+    inputs = (texture, head.mesh, head.head_from_world)
     answers = {
-        REFINED: infer_whole_face(network, *inputs, refine_seconds=task.refine_seconds),
+        REFINED: infer_whole_face(network, *inputs, **refining(task)),
         NETWORK: infer_whole_face(network, *inputs),
     }
     albedo = {name: answer.maps["diffuse_albedo"] for name, answer in answers.items()}
     blurred = infer_whole_face(network, *inputs, shares=[0.0] * BANDS)
     albedo["network, without the texture's detail"] = blurred.maps["diffuse_albedo"]
     if with_fit:
-        fit = infer_whole_face(
-            without_network(network), *inputs, refine_seconds=task.refine_seconds
-        )
+        fit = infer_whole_face(without_network(network), *inputs, **refining(task))
         albedo[FIT] = fit.maps["diffuse_albedo"]
     mean_log = network.mean_log_albedo[0].permute(1, 2, 0).numpy()
     mean = enlarged(np.exp(mean_log), *head.shown.shape)
@@ -197,6 +217,14 @@ def guesses(
     albedo["mean person"] = mean
     albedo["oracle: the person's true tone"] = np.broadcast_to(tone, true.shape)
     return Found(albedo, answers)
+
+
+def refining(task: Task) -> Refining:
+    """How the refined answer is asked for."""
+    return {
+        "refine_seconds": task.refine_seconds,
+        "mesostructure": relief_of(task.mesostructure),
+    }
 
 
 def other_score(head: Head, shape: Shape, found: Inferred, light: LightSet) -> Other:
@@ -250,11 +278,10 @@ def flawed(
     true, out = head.maps["diffuse_albedo"], {}
     for name, image in spoiled.items():
         image = image.astype(np.float32)
-        for guess, seconds in ((REFINED, task.refine_seconds), (NETWORK, 0.0)):
+        ways: dict[str, Refining] = {REFINED: refining(task), NETWORK: {}}
+        for guess, how in ways.items():
             try:
-                answer = infer_whole_face(
-                    network, image, head.mesh, head.head_from_world, refine_seconds=seconds
-                )
+                answer = infer_whole_face(network, image, head.mesh, head.head_from_world, **how)
             except MapsError as error:
                 print(f"{head.who.name}, {name}: refused: {error}", flush=True)
                 continue

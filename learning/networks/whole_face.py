@@ -16,6 +16,8 @@ from torch import Tensor, nn
 
 IN_CHANNELS = 10
 """Log colour 3, normals 3, position 3, photographed or not 1."""
+SIDEWAYS = (3, 6)
+"""Channels of the input that change their sign in a mirror: x of normals and of positions."""
 SAID_CHANNELS = 4
 """Change of log diffuse albedo 3, of log specular albedo 1."""
 BANDS = 4

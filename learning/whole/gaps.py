@@ -19,8 +19,6 @@ ALIKE = 0.5
 0.63."""
 ALIKE_SHARES = 1 / 384, 1 / 48
 """Standard deviations, of a texture's rows, between which the likeness is measured."""
-MIRRORED_MM = 5.0
-"""Median distance between a face and its mirror image, texel by texel, at most."""
 LEAST_SHARE = 1e-9
 """Known share of the largest texel, against division by zero."""
 MOST_BESIDE = 0.5
@@ -53,18 +51,6 @@ def without_gaps(
         step = continued((own - share * other) * both[..., None], both)
         found = np.where((there & ~seen)[..., None], share * other + step, found)
     return np.where(seen[..., None], own, found) * covered[..., None]
-
-
-def sides_mirror(position_mm: np.ndarray) -> bool:
-    """Whether a texture's columns, in reverse, are a face's other side.
-
-    Args:
-        position_mm: (h, w, 3) of a face in the head frame, zero without surface.
-    """
-    mirrored = position_mm[:, ::-1] * (-1, 1, 1)
-    both = (position_mm != 0).any(axis=2) & (mirrored != 0).any(axis=2)
-    apart = np.linalg.norm(position_mm - mirrored, axis=2)[both]
-    return bool(apart.size) and float(np.median(apart)) < MIRRORED_MM
 
 
 def likeness(own: np.ndarray, other: np.ndarray, both: np.ndarray) -> float:

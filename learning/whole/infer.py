@@ -11,7 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from learning.devices import CPU, moved
+from learning.devices import CPU
 from learning.encoding import shrink
 from learning.errors import MapsError
 from learning.infer import DISAGREEMENT, Inferred
@@ -40,6 +40,7 @@ from learning.whole.refine import (
     Refined,
     refine,
 )
+from learning.whole.sides import answer_of
 from learning.whole.specular_detail import specular_detail
 from learning.whole.texture_layout import FARTHEST_MM, apart_mm, brows_to_lips, known_of_both
 from lightstage.counting import counted
@@ -231,8 +232,7 @@ def run_network(
     low_normal = _turned(unit(shrink(to_batch(normal), shape)), head_from_mesh)
     given = face_input(small * shown, low_normal, low_position, shown)
     there = network if device == CPU else copy.deepcopy(network).to(device)
-    with torch.inference_mode():
-        output = moved(there(given.to(device)), CPU)
+    output = answer_of(there, given)
     deviation = _image(output.deviation)[..., 0]
     answer = Answer(
         _image(small),

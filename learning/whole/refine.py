@@ -22,9 +22,10 @@ from learning.mesostructure.infer import TrainedMesostructure, find
 from learning.networks.whole_face import DARKEST, WholeFaceNetwork
 from learning.render.uv import UvRaster, rasterise
 from learning.whole.detail import enlarged
-from learning.whole.gaps import sides_mirror, without_gaps
+from learning.whole.gaps import without_gaps
 from learning.whole.light import Light, LightFit, LitSurface
 from learning.whole.scalp import hair_share, skin_over_scalp
+from learning.whole.sides import sides_mirror
 from learning.whole.together import Explained, KnownSkin, explain
 from learning.whole.unlit import (
     DARK_LIGHT,

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from learning.devices import CPU, device_of, moved
 from learning.encoding import srgb_from_linear
 from learning.errors import TrainingError
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.whole.faces import FaceBatch, Faces
+from learning.whole.sides import answer_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,9 +79,7 @@ def score_faces(network: WholeFaceNetwork, held_out: Faces, lights: int, seed: i
             expected="maps as they were when the training began",
             hint="Was the store written anew meanwhile?",
         )
-    device = device_of(network)
-    with torch.inference_mode():
-        found = [moved(network(pair.inputs.to(device)), CPU) for pair in pairs]
+    found = [answer_of(network, pair.inputs) for pair in pairs]
     albedo = [face.diffuse_albedo for face in found]
     mean = network.mean_log_albedo.exp().cpu()
     tones = [mean_colour(pair.diffuse_albedo, pair.skin) for pair in pairs]

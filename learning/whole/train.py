@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from learning.augment import AugmentConfig
-from learning.devices import CPU, device_of, moved
+from learning.devices import CPU, moved
 from learning.encoding import srgb_from_linear
 from learning.errors import TrainingError
 from learning.infer_checks import same_aspect
@@ -25,6 +25,7 @@ from learning.whole.config import WholeTrainConfig
 from learning.whole.detail import Shares, bands, enlarged
 from learning.whole.faces import LEAST_ALBEDO, FaceBatch, Faces, FacesConfig
 from learning.whole.score import FaceScore, score_faces
+from learning.whole.sides import answer_of
 from processing.dataset import Store
 
 LEAST_DOUBT = 1e-3
@@ -148,8 +149,7 @@ def _samples(network: WholeFaceNetwork, held_out: Faces, seed: int) -> list[Samp
     found = []
     for index, name in enumerate(held_out.names[:MOST]):
         pair = held_out.batch([index], rng)
-        with torch.inference_mode():
-            found_face = moved(network(pair.inputs.to(device_of(network))), CPU)
+        found_face = answer_of(network, pair.inputs)
         found.append(Sample(name, pair.texture, found_face.diffuse_albedo, pair.diffuse_albedo))
     return found
 
@@ -160,8 +160,7 @@ def fit_shares(network: WholeFaceNetwork, faces: Faces, config: WholeTrainConfig
     shares = Shares()
     for _ in range(config.detail_pairs):
         pair = faces.draw_large(rng)
-        with torch.inference_mode():
-            output = moved(network(pair.inputs.to(device_of(network))), CPU)
+        output = answer_of(network, pair.inputs)
         low = output.diffuse_albedo[0].permute(1, 2, 0).log().numpy()
         rows, columns = pair.texture.shape[:2]
         small = pair.small[0].permute(1, 2, 0).numpy()
@@ -181,8 +180,7 @@ def measured_doubt(network: WholeFaceNetwork, faces: Faces, config: WholeTrainCo
     errors = []
     for _ in range(max(1, config.doubt_faces // config.batch)):
         pair = moved(faces.draw(config.batch, rng), CPU)
-        with torch.inference_mode():
-            output = moved(network(pair.inputs.to(device_of(network))), CPU).diffuse_albedo.log()
+        output = answer_of(network, pair.inputs).diffuse_albedo.log()
         true = pair.diffuse_albedo.clamp_min(LEAST_ALBEDO).log()
         known = (output - mean, true - mean, pair.weight)
         for found_one, true_one, weight in zip(*known, strict=True):

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from learning.checkpoint import load_whole_face, shipped_weights
-from learning.whole.gaps import ALIKE, continued, likeness, sides_mirror, without_gaps
+from learning.whole.gaps import ALIKE, continued, likeness, without_gaps
 
 SIZE = (48, 32)
 EVERYWHERE = np.ones(SIZE, bool)
@@ -98,14 +97,6 @@ def test_sides_that_are_not_alike_show_nothing_of_each_other() -> None:
     alike = marks(4).astype(np.float32)
     assert likeness(alike, alike[:, ::-1], EVERYWHERE) == pytest.approx(1.0)
     assert likeness(alike, alike[:, ::-1], EVERYWHERE & False) == ALIKE
-
-
-def test_the_shipped_weights_have_faces_with_two_sides() -> None:
-    network, _ = load_whole_face(shipped_weights())
-    position_mm = network.mean_position_mm[0].permute(1, 2, 0).numpy()
-    assert sides_mirror(position_mm)
-    assert not sides_mirror(np.roll(position_mm, 12, axis=1))
-    assert not sides_mirror(np.zeros_like(position_mm))
 
 
 @settings(max_examples=40, deadline=None)
