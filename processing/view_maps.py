@@ -14,7 +14,7 @@ from lightstage.formats.half import half_bits
 
 @dataclasses.dataclass(frozen=True)
 class PixelMaps:
-    """Maps of the n pixels of a mask, in row order; 0 where unsolved.
+    """Maps of the n pixels of a mask, in row order; where unsolved, 0 or what stands in.
 
     Attributes:
         diffuse_normal: (n, 3) unit, the direction that explains the diffuse shading.

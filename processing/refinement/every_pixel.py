@@ -46,6 +46,8 @@ from processing.refinement.scene import (
 )
 from processing.surface import Sight, at_vertices_to, depth_edges, depth_of, see
 
+NEIGHBOURS_MM = (16.0, 4.0, 1.0)
+"""Sigmas over which a pixel's neighbours have an albedo: the widest, where less is not trusted."""
 BAND_PIXELS = 500_000
 """Pixels whose own light is gathered at a time: what they need is held no longer."""
 
@@ -86,7 +88,8 @@ def solve_view(
         config: see there.
 
     Returns:
-        Maps, zero where a pixel cannot be solved.
+        Maps; where a pixel cannot be solved, of no confidence: its neighbours' albedo and the
+        mesh's normal and gloss.
     """
     knows = grid_knows(scene, grid, found, config)
     sites = light = None
@@ -122,9 +125,9 @@ def solve_view(
 
 
 def columns_of(knows: GridKnows) -> np.ndarray:
-    """(n, 8 + 3 P): normal, roughness, specular albedo, prior, and what wanders here."""
-    rest = knows.around.rest.reshape(len(knows.prior), -1)
-    given = [knows.found.normal, knows.roughness, knows.specular, knows.prior, rest]
+    """(n, 5 + 3 P): normal, roughness, specular albedo, and what wanders here."""
+    rest = knows.around.rest.reshape(len(knows.roughness), -1)
+    given = [knows.found.normal, knows.roughness, knows.specular, rest]
     return np.column_stack(given)
 
 
@@ -153,13 +156,32 @@ def grid_knows(scene: Scene, grid: View, found: Solved, config: RefineConfig) ->
     # A pixel that is hardly trusted takes its neighbours' albedo.
     # Where none is trusted far around, they have one another still.
     weight = np.maximum(alone.confidence[:, None] ** 2, LEAST_WEIGHT)
-    pools = []
-    for values in (found.lit * weight, found.power * weight):
-        each = [pooled(values[:, c], sight.mask, grid.px_per_mm) for c in range(3)]
-        pools.append(np.stack(each, axis=1))
-    lit, power = pools
-    prior = np.where(power > 0, lit / np.where(power > 0, power, 1), 0).astype(np.float32)
+    prior = _neighbours_albedo(found.lit * weight, found.power * weight, grid, config)
     return GridKnows(grid, found, around, roughness, specular, prior)
+
+
+def _neighbours_albedo(
+    lit: np.ndarray, power: np.ndarray, grid: View, config: RefineConfig
+) -> np.ndarray:
+    """(n, 3) float32 albedo around each pixel of a grid, from farther away where it is not known.
+
+    Args:
+        lit: (n, 3) light times irradiance, by trust.
+        power: (n, 3) squared irradiance, by trust.
+        grid: the pixels.
+        config: see there.
+    """
+    mask = grid.sight.mask
+    near = lit.sum(axis=0) / np.maximum(power.sum(axis=0), 1e-30)
+    for wide_mm in NEIGHBOURS_MM:
+        wide_px = wide_mm * grid.px_per_mm
+        top, bottom = (
+            np.stack([pooled(values[:, c], mask, wide_px) for c in range(3)], axis=1)
+            for values in (lit, power)
+        )
+        known = bottom + config.albedo_prior_power
+        near = (top + config.albedo_prior_power * near) / known
+    return np.asarray(near, np.float32)
 
 
 def pictured(
@@ -218,7 +240,7 @@ def solve_exactly(
         scene: with its gloss found.
         view: the pixels.
         knows: what the grid gives.
-        of_grid: (n, OF_GRID) its columns.
+        of_grid: (m, 5 + 3 P) its columns, see `columns_of`.
         inside: (n,) pixels to the nearest edge.
         config: see there.
     """
@@ -233,7 +255,9 @@ def solve_exactly(
     length = np.linalg.norm(columns[:, :3], axis=1, keepdims=True)
     begin = np.where(length > 0.5, columns[:, :3] / np.maximum(length, 0.5), sight.normals)
     begin = np.where(view.usable[:, None], begin, 0)
-    rest = columns[:, 8:].reshape(-1, *knows.around.rest.shape[1:])
+    rest = columns[:, 5:].reshape(-1, *knows.around.rest.shape[1:])
+    # What its neighbours have, a pixel of the grid has too that was not solved itself.
+    prior, _ = enlarged(knows.prior, np.ones(len(known), bool), knows.view.sight, sight)
     pixels = Given(
         view.rgb,
         scene.lights,
@@ -246,7 +270,7 @@ def solve_exactly(
         config.noise,
     )
     solved = solve_jointly(pixels, config.rounds)
-    return finish_given(scene, view, solved, roughness, specular, columns[:, 5:8], inside)
+    return finish_given(scene, view, solved, roughness, specular, prior, inside)
 
 
 def finish_given(

@@ -90,8 +90,12 @@ def facing(normals: np.ndarray, views: np.ndarray) -> np.ndarray:
 
 @njit(cache=True, error_model="numpy")
 def finish_pixel(given: np.ndarray, at: int, limits: Limits, maps: Maps) -> None:
-    """Write a pixel's maps from its (GIVEN,) numbers; what is unsolved stays zero."""
+    """Write a pixel's maps from its (GIVEN,) numbers.
+
+    An unsolved one has no confidence, the mesh's normal and gloss, and its neighbours' albedo.
+    """
     maps.occlusion[at] = given[OPEN]
+    _stand_in(given, at, maps)
     agreement = toward = 0.0
     for x in range(3):
         agreement += given[NORMAL + x] * given[MESH + x]
@@ -137,8 +141,23 @@ def finish_pixel(given: np.ndarray, at: int, limits: Limits, maps: Maps) -> None
         length = math.sqrt(x * x + y * y + z * z)
         if length > 1e-6:
             out[at, 0], out[at, 1], out[at, 2] = x / length, y / length, z / length
-    maps.specular[at] = given[SPECULAR]
-    maps.roughness[at] = given[ROUGHNESS]
+
+
+@njit(cache=True, error_model="numpy")
+def _stand_in(given: np.ndarray, at: int, maps: Maps) -> None:
+    """Write what is known of a pixel without its readings; what is not finite stays zero."""
+    length2 = albedo = 0.0
+    for x in range(3):
+        length2 += given[MESH + x] * given[MESH + x]
+        albedo += given[PRIOR + x]
+    if length2 > 0.5 and math.isfinite(length2):
+        for x in range(3):
+            maps.matte[at, x] = maps.normal[at, x] = given[MESH + x] / math.sqrt(length2)
+    if math.isfinite(albedo):
+        for x in range(3):
+            maps.albedo[at, x] = max(given[PRIOR + x], 0.0)
+    if math.isfinite(given[SPECULAR] + given[ROUGHNESS]):
+        maps.specular[at], maps.roughness[at] = given[SPECULAR], given[ROUGHNESS]
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

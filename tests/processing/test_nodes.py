@@ -188,9 +188,9 @@ def plain_finish(g: np.ndarray, limits: finish.Limits) -> dict[str, np.ndarray |
     matte, own = g[finish.MATTE : finish.MATTE + 3], g[0:3]
     chroma = limits.apart2 / (limits.apart2 + g[finish.MATTE_TURN2]) if matte.any() else 0
     agreement = float(g[0:3] @ g[15:18])
-    zero = {"confidence": 0.0, "albedo": np.zeros(3), "normal": np.zeros(3), "matte": np.zeros(3)}
+    mesh = g[15:18]
     if g[25] <= 0 or g[18] <= 0 or agreement <= 0 or g[0:3] @ g[27:30] <= 0:
-        return zero
+        return {"confidence": 0.0, "albedo": g[20:23], "normal": mesh, "matte": mesh}
     power = g[9:12].mean()
     trust = np.sqrt(g[18]) * np.clip(g[19] / limits.edge_px, 0, 1) * np.clip(2 * agreement, 0, 1)
     trust *= np.clip(g[14] / limits.grey_saturation - 1, 0, 1) * power / (power + limits.dark_power)
@@ -233,6 +233,25 @@ def test_trust_and_what_stands_in_are_those_of_plain_float64(seed: int) -> None:
         known = plain_finish(row, limits)
         for name, value in known.items():
             np.testing.assert_allclose(getattr(maps, name)[i], value, atol=2e-5, err_msg=name)
+    np.testing.assert_allclose(maps.specular, given_[:, finish.SPECULAR], atol=1e-6)
+    np.testing.assert_allclose(maps.roughness, given_[:, finish.ROUGHNESS], atol=1e-6)
+
+
+@given(
+    values=st.lists(
+        st.floats(-1e6, 1e6) | st.sampled_from([0.0, np.nan, np.inf, -np.inf]),
+        min_size=finish.GIVEN,
+        max_size=finish.GIVEN,
+    )
+)
+@settings(max_examples=100, deadline=None)
+def test_whatever_a_pixel_is_given_its_maps_are_finite(values: list[float]) -> None:
+    maps = finish.empty_maps(1)
+    finish.finish(
+        numbers(np.array([values])), np.zeros(1, int), finish.limits_of(RefineConfig()), maps
+    )
+    for name in ("matte", "normal", "albedo", "specular", "roughness", "confidence"):
+        assert np.isfinite(getattr(maps, name)).all(), name
 
 
 @given(

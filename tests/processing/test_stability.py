@@ -262,6 +262,23 @@ def test_one_clipped_channel_masks_its_pixels(session: Path, tmp_path: Path) -> 
         assert found[stage]["confidence"].max() > 0.9
 
 
+# What is black in all patterns is none of the foreground.
+@pytest.mark.parametrize("name", sorted(FAULTS.keys() - {"black", "negative"}))
+def test_refine_lets_mesh_and_neighbours_stand_in_for_faulty_pixels(
+    name: str, faulty: dict[str, dict[str, np.ndarray]]
+) -> None:
+    where, found = patch(FAULTS[name][1]), faulty["refine"]
+    inner = tuple(slice(part.start + 2, part.stop - 2) for part in where)
+    np.testing.assert_allclose(
+        found["diffuse_albedo"][inner], np.broadcast_to(BALL.albedo, (5, 5, 3)), rtol=0.15
+    )
+    np.testing.assert_allclose(found["specular_albedo"][inner], BALL.specular, rtol=0.4)
+    true = np.zeros((*SIGHT.mask.shape, 3))
+    true[SIGHT.mask] = SIGHT.normals
+    for each in ("diffuse_normal", "specular_normal"):
+        assert angle_deg(found[each][inner], true[inner]).max() < 4
+
+
 def test_normals_do_not_depend_on_the_scale_of_light(
     session: Path, tmp_path: Path, sound: dict[str, dict[str, np.ndarray]]
 ) -> None:
