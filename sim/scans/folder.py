@@ -22,6 +22,7 @@ import numpy as np
 
 from lightstage.counting import counted
 from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.fields import array_of
 from lightstage.formats.files import atomic_folder, read_json, write_json, write_text
 from lightstage.formats.mesh import Mesh, read_obj
 from lightstage.formats.png import write_png
@@ -225,13 +226,12 @@ def _read_skin(path: Path) -> np.ndarray:
 
 def _numbers(value: object, shape: tuple[int, ...], where: Path, field: str) -> np.ndarray:
     try:
-        out = np.array(value, float)
-    except (TypeError, ValueError):
-        out = np.empty(0)
-    if out.shape != shape or not np.isfinite(out).all():
+        return array_of(value, *shape)
+    except ValueError:
         wanted = " x ".join(str(n) for n in shape)
-        raise SimError(where, field=field, found=repr(value)[:60], expected=f"{wanted} numbers")
-    return out
+        raise SimError(
+            where, field=field, found=repr(value)[:60], expected=f"{wanted} numbers"
+        ) from None
 
 
 def _obj_text(mesh: Mesh) -> str:
