@@ -75,6 +75,7 @@ REFINE_SECONDS = 60.0
 LIGHT = "light.json"
 INFERRED = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal", "confidence")
 """Maps that `infer` writes. An atlas of a capture has others beside them."""
+OWN = (LIGHT, *(f"{name}.exr" for name in INFERRED))
 ON_CPU = "Infer with --device cpu."
 NO_BACKGROUND = "none"
 BACKGROUNDS = {"white": 1.0, "black": 0.0, NO_BACKGROUND: 0.0}
@@ -396,7 +397,7 @@ def infer_command(
                 found = infer_four(networks.to(device), *given)
             else:
                 found = infer(networks.to(device), *given)
-    with atomic_folder(out, f"{INFERRED[0]}.exr") as folder:
+    with atomic_folder(out, f"{INFERRED[0]}.exr", own=OWN) as folder:
         for name, values in found.maps.items():
             write_map(folder / f"{name}.exr", name, values)
         if found.light is not None:
@@ -439,7 +440,7 @@ def _mesostructure(
 
 def _require_own(out: Path) -> None:
     """Refuse a folder that holds anything but what `infer` writes, such as a capture's atlas."""
-    others = others_in(out, [LIGHT, *(f"{name}.exr" for name in INFERRED)])
+    others = others_in(out, OWN)
     if others:
         raise MapsError(
             out,
@@ -448,7 +449,7 @@ def _require_own(out: Path) -> None:
             expected="a new folder, or one with inferred maps, which are replaced",
             hint="Choose another --out.",
         )
-    require_replaceable(out, f"{INFERRED[0]}.exr")
+    require_replaceable(out, f"{INFERRED[0]}.exr", own=OWN)
 
 
 def upscale_command(

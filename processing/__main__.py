@@ -343,12 +343,13 @@ def build(
     from processing.dataset import (
         DATASET,
         STORE,
+        STORE_FILES,
         build_store,
         open_store,
         without_people_files,
     )
 
-    require_new(out, overwrite, DATASET, STORE)
+    require_new(out, overwrite, DATASET, STORE, STORE_FILES)
     folders, passed = without_people_files(processed)
     with limited_access(group_of(folders)), progress_bar("dataset build") as progress:
         build_store(folders, out, progress, consents)
@@ -417,6 +418,7 @@ def publish(
     from processing.dataset import (
         DATASET,
         PUBLISHED,
+        RELEASE_FILES,
         PublishConfig,
         narrow_gap,
         open_store,
@@ -424,7 +426,7 @@ def publish(
     )
     from processing.dataset import publish as publish_store
 
-    require_new(out, overwrite, DATASET, PUBLISHED)
+    require_new(out, overwrite, DATASET, PUBLISHED, RELEASE_FILES)
     given: dict[str, Any] = {
         "form": form,
         "patch_px": patch,

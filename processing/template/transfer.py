@@ -29,6 +29,7 @@ from processing.template.resample import nearest, sampled
 
 MASK = "mask.png"
 MESH = "registered_mesh.obj"
+OWN = ("*.exr", "*.png", MESH)
 COUNTED = {"view": -1.0, "filled": 0.0, "coverage": 0.0, "skin": 0.0}
 """Maps of numbers that have no mean, and their values where nothing is."""
 CHUNK = 1 << 20
@@ -169,7 +170,7 @@ def transfer(
     files = find_maps(maps)
     grids: dict[tuple[int, int], Grid] = {}
     carrier = Carrier(pair, config)
-    with atomic_folder(out, MASK) as beside:
+    with atomic_folder(out, MASK, own=OWN) as beside:
         for done, file in enumerate(files):
             progress(done, len(files))
             image, unit = _read(file)

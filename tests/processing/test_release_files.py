@@ -143,13 +143,20 @@ def test_a_set_that_is_there_is_replaced_as_a_whole_and_only_when_told(
     assert again.code == 2
     assert "pass --overwrite" in again.err
     assert contents(out) == first
+    (out / "LICENSE").write_text("ours")
+    refused = run_command("processing", *words, "--overwrite")
+    assert refused.code == 2
+    assert f"{out}: found LICENSE, which the command did not make" in refused.err
+    (out / "LICENSE").unlink()
+    assert contents(out) == first
     tars = run_command("processing", *words, "--format", "webdataset", "--overwrite")
     assert tars.code == 0, tars.err
     assert {path.suffix for path in out.iterdir()} == {".tar", ".json", ".md"}
     assert sorted(tmp_path.glob(".*")) == []
-    # The lab knows of both: those of the shared store that went to this place.
+    assert run_command("processing", *words, "--overwrite").code == 0
+    # The lab knows of all: those of the shared store that went to this place.
     lines = (store.path / "releases.jsonl").read_text().splitlines()
-    assert [json.loads(line)["out"] for line in lines].count(str(out)) == 2
+    assert [json.loads(line)["out"] for line in lines].count(str(out)) == 3
 
 
 def test_of_two_that_publish_to_one_place_at_once_one_is_there_whole(
