@@ -250,7 +250,7 @@ def register_mesh(
         landmarks_of_mesh,
     )
     from processing.registration.stage import register_mesh as register_scan
-    from processing.registration.start import landmarks_unit, require_surface
+    from processing.registration.start import landmarks_unit, named, require_surface
     from processing.units import MM, axis_name, largest_side, likely_unit
 
     if landmarks is not None and landmark_command is not None:
@@ -269,19 +269,20 @@ def register_mesh(
     settings = pipeline_config.read_config(config).register
     command = landmark_command or settings.landmark_command
     notes: list[str] = []
-    if landmarks is not None:
+    with named(mesh):
         require_surface(scan)
+    if landmarks is not None:
         points_mm = read_points_mm(landmarks)
         unit = landmarks_unit(scan, points_mm, shape)
         points_mm = unit.mm * points_mm
     else:
-        require_surface(scan)
         provider = CommandLandmarks(command) if command else DetectedLandmarks(shape)
         unit = likely_unit(scan.vertices)
         scaled = scan.with_vertices(unit.mm * scan.vertices)
         marks_mm = shape.mesh.vertices[shape.landmarks]
         agree_mm = settings.click_agree_mm if command else settings.detected_agree_mm
-        found = landmarks_of_mesh(scaled, provider, agree_mm, marks_mm)
+        with named(mesh):
+            found = landmarks_of_mesh(scaled, provider, agree_mm, marks_mm)
         points_mm = found.landmarks.points_mm
         if not np.array_equal(found.turn, np.eye(3)):
             ahead, up = (axis_name(found.turn[row]) for row in (2, 1))
@@ -295,7 +296,8 @@ def register_mesh(
     scan, removed, note = cleaned(scan, mesh.name)
     notes += [note] if note else []
     with limited_access(group_of([mesh.parent])), progress_bar("register-mesh") as progress:
-        vertices, facts = register_scan(scan, points_mm, shape, settings, progress)
+        with named(mesh, landmarks):
+            vertices, facts = register_scan(scan, points_mm, shape, settings, progress)
         write_obj(shape.mesh.with_vertices(vertices), out)
     facts = {"scan_unit": unit.name, "notes": notes, "scan_cleaned": removed, **facts}
     summary = "; ".join([*notes, _facts_in_words(facts)])
