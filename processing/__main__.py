@@ -425,6 +425,7 @@ def publish(
         narrow_gap,
         open_store,
         read_about,
+        same_version,
     )
     from processing.dataset import publish as publish_store
 
@@ -447,11 +448,11 @@ def publish(
     opened = open_store(store, "These patches are published already.")
     require_consents(consents, "publication", opened.consents)
     about_file = read_about(about)
+    warnings = [*filter(None, [narrow_gap(config.gap), same_version(opened, out, about_file)])]
     with progress_bar("dataset publish") as progress:
         publish_store(opened, out, seed, config, progress, about=about_file)
-    narrow = narrow_gap(config.gap)
-    if narrow:
-        print(f"warning: {narrow}", file=sys.stderr)
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
     written = read_json(out / DATASET)
     counts, unasked = written["counts"], written["consent"]["subjects_without"]
     summary = counted(counts["patches"], "patch", "patches")
@@ -469,7 +470,7 @@ def publish(
         "patch": written["patch"],
         "gap": written["gap"],
     }
-    facts |= {"subjects_without_consent": unasked, "warnings": [narrow] if narrow else []}
+    facts |= {"subjects_without_consent": unasked, "warnings": warnings}
     finish(f"{out}: {summary}", facts, as_json)
 
 

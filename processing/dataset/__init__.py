@@ -28,6 +28,7 @@ from processing.dataset.store import (
     is_release,
     open_store,
 )
+from processing.dataset.versions import same_version
 
 __all__ = [
     "CHANNELS",
@@ -52,6 +53,7 @@ __all__ = [
     "read_about",
     "read_head_pose",
     "remove_scans",
+    "same_version",
     "verify_release",
     "verify_store",
     "without_people_files",

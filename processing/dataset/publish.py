@@ -153,7 +153,15 @@ def publish(
         write_checksums(beside)
         give_one_time(beside)
         digest = sha256_file(beside / DATASET)
-        record_release(store, {"out": str(out.resolve()), "dataset_sha256": digest})
+        record_release(
+            store,
+            {
+                "out": str(out.resolve()),
+                "name": about.name,
+                "version": about.version,
+                "dataset_sha256": digest,
+            },
+        )
     return out
 
 
