@@ -38,6 +38,7 @@ from learning.presets import preset, require_one_length
 from learning.processes import ALONE, Processes, joined
 from learning.relight import (
     lit_texture,
+    notes_of_light,
     read_light,
     render_head,
     shadows_of,
@@ -148,7 +149,7 @@ def render_command(
         "pictures": turntable,
         "lights": len(lights.rgb),
         "surface_percent": 100 * float(alpha.mean()),
-        "notes": list(head.notes),
+        "notes": [*head.notes, *notes_of_light(lights, options.mode)],
         "seconds": time.monotonic() - began,
     }
 
@@ -166,7 +167,7 @@ def bake_command(request: RenderRequest, progress: ProgressCallback) -> dict[str
         "rows": rows,
         "columns": columns,
         "lights": len(lights.rgb),
-        "notes": list(head.notes),
+        "notes": [*head.notes, *notes_of_light(lights, options.mode)],
         "seconds": time.monotonic() - began,
     }
 
@@ -181,7 +182,7 @@ def _lit_head(
     require_texture_maps(request.maps)
     folder = ProcessedFolder(request.maps.parent)
     mesh = folder.registered_mesh if request.mesh is None else request.mesh
-    lights = read_light(request.environment, request.lights, request.rotate_deg)
+    lights = read_light(request.environment, request.lights, request.rotate_deg, request.mode)
     head = _head(request.maps, mesh, request.template)
     # The pose is the mesh's: maps of `infer` have none beside them.
     beside = [ProcessedFolder(mesh.parent).head_pose, folder.head_pose]
