@@ -172,7 +172,8 @@ def _field(entry: dict[str, Any], path: Path) -> FlatField:
     offset = None if given is None else array_of(given, 4)
     pixels = array_of(entry.get("hot_pixels", []), -1, 2)
     size, hot = (int(sides[0]), int(sides[1])), pixels.astype(int)
-    if (size != sides).any() or (hot != pixels).any() or radius <= 0 or min(size) < 2:
+    whole = bool((sides % 1 == 0).all() and (pixels % 1 == 0).all())
+    if not whole or radius <= 0 or min(size) < 2:
         raise ValueError("numbers")
     if ((hot < 0) | (hot >= size[::-1])).any():
         raise ValueError("hot pixels")

@@ -112,8 +112,9 @@ def _read_landmarks(path: Path) -> np.ndarray:
     except ValueError:
         marks = np.full(68, -1.0)
     if (marks < 0).any() or (marks % 1 != 0).any():
-        other = isinstance(given, list) and len(given) != 68
-        found = counted(len(given), "entry", "entries") if other else ascii(given)[:60]
+        found = ascii(given)[:60]
+        if isinstance(given, list) and len(given) != 68:
+            found = counted(len(given), "entry", "entries")
         raise SimError(path, field=field, found=found, expected=expected)
     return marks.astype(np.int64)
 
