@@ -38,6 +38,7 @@ from learning.presets import preset, require_one_length
 from learning.processes import ALONE, Processes, joined
 from learning.relight import (
     lit_texture,
+    notes_of_light,
     read_light,
     render_head,
     shadows_of,
@@ -75,6 +76,7 @@ REFINE_SECONDS = 60.0
 LIGHT = "light.json"
 INFERRED = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal", "confidence")
 """Maps that `infer` writes. An atlas of a capture has others beside them."""
+OWN = (LIGHT, *(f"{name}.exr" for name in INFERRED))
 ON_CPU = "Infer with --device cpu."
 NO_BACKGROUND = "none"
 BACKGROUNDS = {"white": 1.0, "black": 0.0, NO_BACKGROUND: 0.0}
@@ -147,7 +149,7 @@ def render_command(
         "pictures": turntable,
         "lights": len(lights.rgb),
         "surface_percent": 100 * float(alpha.mean()),
-        "notes": list(head.notes),
+        "notes": [*head.notes, *notes_of_light(lights, options.mode)],
         "seconds": time.monotonic() - began,
     }
 
@@ -165,7 +167,7 @@ def bake_command(request: RenderRequest, progress: ProgressCallback) -> dict[str
         "rows": rows,
         "columns": columns,
         "lights": len(lights.rgb),
-        "notes": list(head.notes),
+        "notes": [*head.notes, *notes_of_light(lights, options.mode)],
         "seconds": time.monotonic() - began,
     }
 
@@ -180,7 +182,7 @@ def _lit_head(
     require_texture_maps(request.maps)
     folder = ProcessedFolder(request.maps.parent)
     mesh = folder.registered_mesh if request.mesh is None else request.mesh
-    lights = read_light(request.environment, request.lights, request.rotate_deg)
+    lights = read_light(request.environment, request.lights, request.rotate_deg, request.mode)
     head = _head(request.maps, mesh, request.template)
     # The pose is the mesh's: maps of `infer` have none beside them.
     beside = [ProcessedFolder(mesh.parent).head_pose, folder.head_pose]
@@ -396,7 +398,7 @@ def infer_command(
                 found = infer_four(networks.to(device), *given)
             else:
                 found = infer(networks.to(device), *given)
-    with atomic_folder(out, f"{INFERRED[0]}.exr") as folder:
+    with atomic_folder(out, f"{INFERRED[0]}.exr", own=OWN) as folder:
         for name, values in found.maps.items():
             write_map(folder / f"{name}.exr", name, values)
         if found.light is not None:
@@ -439,7 +441,7 @@ def _mesostructure(
 
 def _require_own(out: Path) -> None:
     """Refuse a folder that holds anything but what `infer` writes, such as a capture's atlas."""
-    others = others_in(out, [LIGHT, *(f"{name}.exr" for name in INFERRED)])
+    others = others_in(out, OWN)
     if others:
         raise MapsError(
             out,
@@ -448,7 +450,7 @@ def _require_own(out: Path) -> None:
             expected="a new folder, or one with inferred maps, which are replaced",
             hint="Choose another --out.",
         )
-    require_replaceable(out, f"{INFERRED[0]}.exr")
+    require_replaceable(out, f"{INFERRED[0]}.exr", own=OWN)
 
 
 def upscale_command(

@@ -37,7 +37,7 @@ SHADOWS = ("baked", "table", "none", f"{TABLE}FILE", f"{NETWORK}FILE")
 network's."""
 
 
-def read_light(path: Path, count: int, rotate_deg: float = 0.0) -> LightSet:
+def read_light(path: Path, count: int, rotate_deg: float = 0.0, mode: str = "physical") -> LightSet:
     """Read light to render under: a light set, or a picture of light as `count` lights.
 
     Args:
@@ -45,6 +45,8 @@ def read_light(path: Path, count: int, rotate_deg: float = 0.0) -> LightSet:
         count: number of lights that replace a picture, by median cut; of few lights, light without
             a direction becomes ambient light.
         rotate_deg: turns the light about +y, from +z toward +x.
+        mode: of the shading. In `paper` the ambient intensity multiplies the lights' sum, so that a
+            picture, whose lights give all light that has a direction, gets an intensity of 1.
 
     Raises:
         ConfigError: an angle that is not finite.
@@ -67,9 +69,19 @@ def read_light(path: Path, count: int, rotate_deg: float = 0.0) -> LightSet:
         path.stem,
         FAR_MM * found.position_mm[0].double().numpy(),
         found.rgb[0].double().numpy(),
-        found.ambient_rgb[0].double().numpy(),
+        np.ones(3) if mode == "paper" else found.ambient_rgb[0].double().numpy(),
     )
     return turned_lights(lights, rotate_deg)
+
+
+def notes_of_light(lights: LightSet, mode: str) -> tuple[str, ...]:
+    """What a user should know of rendering under a light set in a mode."""
+    if mode != "paper" or (lights.ambient_rgb > 0).any():
+        return ()
+    return (
+        "ambient_rgb of the light set is 0, by which mode paper multiplies the lamps' light: "
+        "nothing diffuse is left of it; 1 leaves it as it is",
+    )
 
 
 def turned_lights(lights: LightSet, angle_deg: float) -> LightSet:

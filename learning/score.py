@@ -32,10 +32,11 @@ class Score:
         psnr_db: of the found diffuse albedo, sRGB-encoded.
         psnr_input_db: of the lit texture taken as albedo.
         psnr_mean_db: of the training people's mean albedo at the same place.
-        psnr_flat_db: of the constant output that suits the training people best: one tone, relative
-            to the lit texture's where the network's colours are.
+        psnr_flat_db: of the training people's tone alone, the constant output that suits them best:
+            relative to the lit texture's where the network's colours are. Not the tone of the
+            person held out, of which `whole.score` has the figure.
         detail: correlation of the found albedo with the true one, each less its patch's mean;
-            0 of one tone.
+            0 of a constant.
         detail_input: the same of the lit texture taken as albedo.
         specular_rmse: of the specular albedo.
         specular_constant_rmse: of the best constant.
@@ -60,15 +61,15 @@ class Score:
         return {
             "the lit texture": self.psnr_input_db,
             "the mean person": self.psnr_mean_db,
-            "one tone": self.psnr_flat_db,
+            "the training people's tone alone": self.psnr_flat_db,
         }
 
     def sentence(self) -> str:
         """See `Scored`."""
         return (
             f"PSNR {self.psnr_db:.2f} dB; the lit texture as albedo {self.psnr_input_db:.2f}, the "
-            f"mean person {self.psnr_mean_db:.2f}, one tone {self.psnr_flat_db:.2f}; correlation "
-            f"with the true detail {self.detail:.2f}"
+            f"mean person {self.psnr_mean_db:.2f}, the training people's tone alone "
+            f"{self.psnr_flat_db:.2f}; correlation with the true detail {self.detail:.2f}"
         )
 
 

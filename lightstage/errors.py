@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from lightstage.counting import counted
 from lightstage.printable import printable, printable_lines
 
 LONGEST_MESSAGE = 1 << 17
@@ -118,3 +119,29 @@ def one_error(problems: list[LightstageError]) -> LightstageError:
         return problems[0]
     lines = "\n  ".join(str(problem) for problem in problems)
     return type(problems[0])(f"{len(problems)} problems:\n  {lines}")
+
+
+def alike_as_one(problems: list[LightstageError], what: str) -> list[LightstageError]:
+    """Errors with one for all that differ in their file alone: the first file, and how many more.
+
+    Args:
+        problems: errors, which are about one file each.
+        what: the file is, such as ``photograph``.
+    """
+    groups: dict[tuple[type, str, str, str, str], list[LightstageError]] = {}
+    for each in problems:
+        key = (type(each), each.field, each.found, each.expected, each.hint)
+        # Without a text of its own it is a list of errors already.
+        groups.setdefault(key if each.found else (*key[:4], str(each)), []).append(each)
+    return [
+        first
+        if not more
+        else type(first)(
+            f"{first.where} and {counted(len(more), f'more {what}')}",
+            field=first.field,
+            found=first.found,
+            expected=first.expected,
+            hint=first.hint,
+        )
+        for first, *more in groups.values()
+    ]

@@ -15,7 +15,13 @@ import numpy as np
 
 from lightstage.cameras.camera import CardFile
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.errors import FormatError, LightstageError, PatternError, one_error
+from lightstage.errors import (
+    FormatError,
+    LightstageError,
+    PatternError,
+    alike_as_one,
+    one_error,
+)
 from lightstage.exif import read_exif
 from lightstage.findings import Finding
 from lightstage.formats.exr import private_attributes, write_exr
@@ -65,6 +71,7 @@ def find_photographs(
             in one message.
     """
     problems: list[LightstageError] = []
+    misnamed: list[LightstageError] = []
     top = _top(folder)
     ids = [camera.id for camera in rig.cameras] if cameras is None else list(cameras)
     found: dict[str, dict[str, Path]] = {}
@@ -78,11 +85,11 @@ def find_photographs(
         for file in _files(place):
             name = _camera_name(file)
             if name not in ids:
-                problems.append(
+                misnamed.append(
                     FormatError(file, found="no camera of the rig", expected=", ".join(ids))
                 )
             elif name in here:
-                problems.append(
+                misnamed.append(
                     FormatError(file, found="a second photograph", expected="one a camera")
                 )
             else:
@@ -92,6 +99,7 @@ def find_photographs(
             for camera in ids
             if camera not in here
         ]
+    problems = [*alike_as_one(misnamed, "file"), *problems]
     if not found and not problems:
         problems.append(
             FormatError(
@@ -298,7 +306,7 @@ def _keep_all(
             driven = {"levels": levels[pattern].tolist()} if pattern in levels else {}
             writer.shot(pattern, **driven)
     if problems:
-        raise one_error(problems)
+        raise one_error(alike_as_one(problems, "photograph"))
     return developed_findings(exposures)
 
 
@@ -332,7 +340,7 @@ def _require_size(path: Path, opened: Opened, rig: Rig, camera_id: str) -> None:
     raise FormatError(
         path,
         found=f"{width} x {height} pixels",
-        expected=f"{camera.width_px} x {camera.height_px}, as all of {camera_id}'s in the rig",
+        expected=f"{camera.width_px} x {camera.height_px}, as the rig has its camera",
         hint="It is on its side: keep the camera's own mark of orientation."
         if turned
         else "Neither crop nor scale photographs: the rig's lens and pose hold for whole ones.",

@@ -250,7 +250,7 @@ def register_mesh(
         landmarks_of_mesh,
     )
     from processing.registration.stage import register_mesh as register_scan
-    from processing.registration.start import landmarks_unit, require_surface
+    from processing.registration.start import landmarks_unit, named, require_surface
     from processing.units import MM, axis_name, largest_side, likely_unit
 
     if landmarks is not None and landmark_command is not None:
@@ -269,19 +269,20 @@ def register_mesh(
     settings = pipeline_config.read_config(config).register
     command = landmark_command or settings.landmark_command
     notes: list[str] = []
-    if landmarks is not None:
+    with named(mesh):
         require_surface(scan)
+    if landmarks is not None:
         points_mm = read_points_mm(landmarks)
         unit = landmarks_unit(scan, points_mm, shape)
         points_mm = unit.mm * points_mm
     else:
-        require_surface(scan)
         provider = CommandLandmarks(command) if command else DetectedLandmarks(shape)
         unit = likely_unit(scan.vertices)
         scaled = scan.with_vertices(unit.mm * scan.vertices)
         marks_mm = shape.mesh.vertices[shape.landmarks]
         agree_mm = settings.click_agree_mm if command else settings.detected_agree_mm
-        found = landmarks_of_mesh(scaled, provider, agree_mm, marks_mm)
+        with named(mesh):
+            found = landmarks_of_mesh(scaled, provider, agree_mm, marks_mm)
         points_mm = found.landmarks.points_mm
         if not np.array_equal(found.turn, np.eye(3)):
             ahead, up = (axis_name(found.turn[row]) for row in (2, 1))
@@ -295,7 +296,8 @@ def register_mesh(
     scan, removed, note = cleaned(scan, mesh.name)
     notes += [note] if note else []
     with limited_access(group_of([mesh.parent])), progress_bar("register-mesh") as progress:
-        vertices, facts = register_scan(scan, points_mm, shape, settings, progress)
+        with named(mesh, landmarks):
+            vertices, facts = register_scan(scan, points_mm, shape, settings, progress)
         write_obj(shape.mesh.with_vertices(vertices), out)
     facts = {"scan_unit": unit.name, "notes": notes, "scan_cleaned": removed, **facts}
     summary = "; ".join([*notes, _facts_in_words(facts)])
@@ -343,12 +345,13 @@ def build(
     from processing.dataset import (
         DATASET,
         STORE,
+        STORE_FILES,
         build_store,
         open_store,
         without_people_files,
     )
 
-    require_new(out, overwrite, DATASET, STORE)
+    require_new(out, overwrite, DATASET, STORE, STORE_FILES)
     folders, passed = without_people_files(processed)
     with limited_access(group_of(folders)), progress_bar("dataset build") as progress:
         build_store(folders, out, progress, consents)
@@ -417,14 +420,16 @@ def publish(
     from processing.dataset import (
         DATASET,
         PUBLISHED,
+        RELEASE_FILES,
         PublishConfig,
         narrow_gap,
         open_store,
         read_about,
+        same_version,
     )
     from processing.dataset import publish as publish_store
 
-    require_new(out, overwrite, DATASET, PUBLISHED)
+    require_new(out, overwrite, DATASET, PUBLISHED, RELEASE_FILES)
     given: dict[str, Any] = {
         "form": form,
         "patch_px": patch,
@@ -443,11 +448,11 @@ def publish(
     opened = open_store(store, "These patches are published already.")
     require_consents(consents, "publication", opened.consents)
     about_file = read_about(about)
+    warnings = [*filter(None, [narrow_gap(config.gap), same_version(opened, out, about_file)])]
     with progress_bar("dataset publish") as progress:
         publish_store(opened, out, seed, config, progress, about=about_file)
-    narrow = narrow_gap(config.gap)
-    if narrow:
-        print(f"warning: {narrow}", file=sys.stderr)
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
     written = read_json(out / DATASET)
     counts, unasked = written["counts"], written["consent"]["subjects_without"]
     summary = counted(counts["patches"], "patch", "patches")
@@ -465,7 +470,7 @@ def publish(
         "patch": written["patch"],
         "gap": written["gap"],
     }
-    facts |= {"subjects_without_consent": unasked, "warnings": [narrow] if narrow else []}
+    facts |= {"subjects_without_consent": unasked, "warnings": warnings}
     finish(f"{out}: {summary}", facts, as_json)
 
 

@@ -8,6 +8,7 @@ replaced in turn by values of other kinds: the file is read, or refused by its n
 import copy
 import functools
 import json
+import operator
 import os
 import shutil
 from pathlib import Path
@@ -406,6 +407,31 @@ def test_a_value_of_another_kind_is_taken_or_refused_by_the_files_name(
             path.write_text(json.dumps(put(value, at, other)))
             facts = read(reader, path)
             assert facts is None or path.name in facts or str(root) in facts, (at, other, facts)
+
+
+UNREAD = {
+    "colour.json": ("full_levels",),  # a session's alone
+    "lights.json": ("position_sigma_mm", "residual_px", "gain_sigma"),  # unknown where absent
+}
+"""Fields of numbers that a reader leaves out."""
+OWN = ("journal.jsonl", "manifest.json", "calibration/cameras.json", "calibration.json")
+OWN += ("checkpoint.json", "dataset.json", "stages.json")
+"""Files that nobody but our programs writes."""
+
+
+@pytest.mark.parametrize("name", sorted({*READERS} - {*OWN}))
+def test_true_and_texts_are_no_numbers(whole, tmp_path, name):
+    path = shutil.copytree(whole, tmp_path / "copy") / name
+    value, taken = json.loads(path.read_text()), set()
+    for at in places(value):
+        holder = functools.reduce(operator.getitem, at, value)
+        if type(holder) not in (int, float) or set(at) & set(UNREAD.get(name, ())):
+            continue
+        for other in (True, str(holder)):
+            path.write_text(json.dumps(put(value, at, other)))
+            if read(ALL[name], path) is None:
+                taken.add((*at, other))
+    assert taken == set()
 
 
 def as_toml(value):

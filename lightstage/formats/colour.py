@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lightstage.errors import FormatError
+from lightstage.formats.fields import array_of
 
 SCHEMA = "lightstage.colour/1"
 LEAST_DETERMINANT = 1e-12
@@ -63,20 +64,12 @@ def colour_numbers(
 
 def _numbers(entry: Mapping[str, Any]) -> ColourNumbers:
     """One camera's numbers; ValueError, TypeError or KeyError where they are unusable."""
-    matrix = _table(entry["linear_from_raw"], 3)
+    matrix = array_of(entry["linear_from_raw"], 3, 3)
     bent, exposure = entry.get("root_polynomial"), entry.get("exposure")
-    terms = None if bent is None else _table(bent, 6)
-    light = None if exposure is None else float(exposure)
+    terms = None if bent is None else array_of(bent, 3, 6)
+    light = None if exposure is None else float(array_of(exposure))
     if abs(np.linalg.det(matrix)) < LEAST_DETERMINANT:
         raise ValueError("no inverse")
     if light is not None and not 0 < light < np.inf:
         raise ValueError("no exposure")
     return ColourNumbers(matrix, terms, light)
-
-
-def _table(value: Any, columns: int) -> np.ndarray:
-    """(3, columns) finite numbers; a table of another shape would be read in another order."""
-    table = np.array(value, float)
-    if table.shape != (3, columns) or not np.isfinite(table).all():
-        raise ValueError("another table")
-    return table

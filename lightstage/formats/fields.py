@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
+
+import numpy as np
 
 from lightstage.errors import FormatError, LightstageError
 
@@ -111,6 +113,34 @@ def whole_number(value: Any) -> Any:
 def is_number(value: Any) -> bool:
     """Whether a file's value is a number, not true or false, and of `MOST` at most."""
     return type(value) in (int, float) and -MOST <= value <= MOST
+
+
+def array_of(value: Any, *shape: int) -> np.ndarray:
+    """A file's lists of numbers as an array; numpy's own way takes true for 1 and texts too.
+
+    Args:
+        value: what is in the file.
+        shape: how many entries each list has, -1 for any number of the outermost; none for a
+            number without a list.
+
+    Raises:
+        ValueError: something else than numbers of at most `MOST` in lists of that shape.
+    """
+    numbers = list(_entries(value, shape))
+    if not all(map(is_number, numbers)):
+        raise ValueError("something else than numbers")
+    return np.array(numbers, float).reshape(shape)
+
+
+def _entries(value: Any, shape: tuple[int, ...]) -> Iterator[Any]:
+    """What is in lists of a shape, one after another."""
+    if not shape:
+        yield value
+        return
+    if not isinstance(value, list) or shape[0] not in (-1, len(value)):
+        raise ValueError("lists of another shape")
+    for each in value:
+        yield from _entries(each, shape[1:])
 
 
 def _shown(value: Any) -> str:

@@ -232,7 +232,13 @@ def _working_folder() -> Path | None:
         return None
 
 
-def require_new(path: Path, overwrite: bool, marker: str, kind: str | None = None) -> None:
+def require_new(
+    path: Path,
+    overwrite: bool,
+    marker: str,
+    kind: str | None = None,
+    own: Iterable[str] | None = None,
+) -> None:
     """Refuse an output folder that holds something, unless it may be replaced.
 
     Args:
@@ -240,11 +246,12 @@ def require_new(path: Path, overwrite: bool, marker: str, kind: str | None = Non
         overwrite: whether the user asked to replace what is there.
         marker: see `require_replaceable`.
         kind: see `require_replaceable`.
+        own: see `require_replaceable`.
 
     Raises:
-        FormatError: a folder that holds something, or one of another kind.
+        FormatError: a folder that holds something, or one of another kind or with files of others.
     """
-    require_replaceable(path, marker, kind)
+    require_replaceable(path, marker, kind, own=own)
     if not overwrite and path.is_dir() and any(path.iterdir()):
         raise FormatError(
             path,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.errors import FormatError
+from lightstage.formats.fields import array_of
 from lightstage.formats.files import atomic_path, read_json, write_json
 from lightstage.formats.npz import UNREADABLE_NPZ
 from lightstage.formats.orientation import UNTURNED, Orientation
@@ -164,15 +165,15 @@ def each_flat(
 
 def _field(entry: dict[str, Any], path: Path) -> FlatField:
     """One camera's entry; ValueError and the like where it is unusable."""
-    size = int(entry["width_px"]), int(entry["height_px"])
-    centre = np.array(entry["centre_px"], float).reshape(2)
-    radial = np.array(entry["radial"], float).reshape(3)
-    radius = float(entry["radius_px"])
+    sides = array_of([entry["width_px"], entry["height_px"]], 2)
+    centre, radial = array_of(entry["centre_px"], 2), array_of(entry["radial"], 3)
+    radius = float(array_of(entry["radius_px"]))
     given = entry.get("black_offset")
-    offset = None if given is None else np.array(given, float).reshape(4)
-    hot = np.array(entry.get("hot_pixels", []), int).reshape(-1, 2)
-    numbers = np.concatenate([centre, radial, [radius], np.zeros(0) if offset is None else offset])
-    if not np.isfinite(numbers).all() or radius <= 0 or min(size) < 2:
+    offset = None if given is None else array_of(given, 4)
+    pixels = array_of(entry.get("hot_pixels", []), -1, 2)
+    size, hot = (int(sides[0]), int(sides[1])), pixels.astype(int)
+    whole = bool((sides % 1 == 0).all() and (pixels % 1 == 0).all())
+    if not whole or radius <= 0 or min(size) < 2:
         raise ValueError("numbers")
     if ((hot < 0) | (hot >= size[::-1])).any():
         raise ValueError("hot pixels")

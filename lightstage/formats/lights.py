@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.errors import FormatError, LightstageError, one_error
-from lightstage.formats.fields import MOST, whole_number
+from lightstage.formats.fields import array_of, whole_number
 from lightstage.formats.files import read_json, write_json
 from lightstage.rig import Rig
 
@@ -186,11 +186,9 @@ def _require_places(places: np.ndarray, rig: Rig, path: Path) -> None:
 def _numbers(value: Any, shape: tuple[int, ...]) -> np.ndarray:
     """`value` as numbers of a shape; NaN where it is something else."""
     try:
-        array = np.array(value, float)
-    except (TypeError, ValueError, OverflowError):
+        return array_of(value, *shape)
+    except ValueError:
         return np.full(shape, np.nan)
-    fits = array.shape == shape and not (np.abs(array) > MOST).any()
-    return array if fits else np.full(shape, np.nan)
 
 
 def _optional(entry: Mapping[str, Any], name: str) -> float:

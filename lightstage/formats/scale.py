@@ -17,6 +17,7 @@ from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.formats.colour import SCHEMA as COLOUR_SCHEMA
 from lightstage.formats.environment import white_reading
+from lightstage.formats.fields import SHOWN, array_of
 from lightstage.formats.files import read_json
 from lightstage.formats.session import Session
 from lightstage.patterns.names import complement, pattern_levels
@@ -79,21 +80,26 @@ def chart_levels(colour: Mapping[str, Any], count: int, path: Path) -> np.ndarra
     if value is None:
         return None
     try:
-        levels = np.array(value, float)
-    except (TypeError, ValueError):
+        levels = array_of(value, count)
+    except ValueError:
         levels = np.zeros(0)
-    good = levels.shape == (count,) and ((levels >= 0) & (levels <= 1)).all() and levels.any()
+    good = levels.size > 0 and ((levels >= 0) & (levels <= 1)).all() and levels.any()
     if not good:
         raise FormatError(
             path,
             field="full_levels",
-            found=counted(levels.size, "value")
-            if levels.size != count
-            else "values not all in 0..1",
+            found=_found(value, count),
             expected=f"{counted(count, 'level')} of 0..1, one a lamp, not all dark",
             hint="It is what the chart was lit by; make the calibration again with this rig.",
         )
     return levels
+
+
+def _found(value: Any, count: int) -> str:
+    """What there is in place of so many levels."""
+    if not isinstance(value, list):
+        return ascii(value)[:SHOWN]
+    return "values not all in 0..1" if len(value) == count else counted(len(value), "value")
 
 
 def raw_scale(session: Session) -> float:

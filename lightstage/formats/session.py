@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, Strict, StringConstraints, ValidationError
 
 from lightstage.counting import counted
 from lightstage.errors import FormatError, LightstageError, PatternError, one_error
@@ -45,7 +45,7 @@ class Driven(BaseModel):
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
-    levels: list[float]
+    levels: list[Annotated[float, Strict()]]
 
 
 class Calibration(BaseModel):

@@ -14,6 +14,8 @@ from lightstage.formats.fields import Fields, whole_number
 from lightstage.formats.files import atomic_path, read_json, write_json
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
 from lightstage.formats.npz import UNREADABLE_NPZ
+from lightstage.formats.population import FILE as POPULATION
+from lightstage.formats.population import POINTS_FILE as POPULATION_POINTS
 from lightstage.formats.population import Population, read_population, write_population
 from lightstage.formats.surface_points import (
     FACE_SCHEME,
@@ -25,6 +27,11 @@ from lightstage.formats.surface_points import (
 
 SCHEMA = "lightstage.template/1"
 DEPTH_RATIOS = (0.3, 3.0)
+OWN = (
+    *("template.json", "mesh.obj", "modes.npz", "maps/*.exr", "maps/skin.png"),
+    *(POPULATION, POPULATION_POINTS, file_name(FACE_SCHEME)),
+)
+"""All that a template's folder has, as globs."""
 REGIONS = ("skin", "lips", "eyes", "ears", "hair")
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from lightstage.errors import FormatError, MotionError
+from lightstage.formats.fields import is_number
 from lightstage.formats.files import read_json
 from lightstage.formats.landmarks import SCHEMA as LANDMARKS_SCHEMA
 from lightstage.formats.landmarks import read_points_px
@@ -65,15 +66,14 @@ def read_clicks(path: Path) -> Clicks:
     for camera, named in entries.items():
         for name, pixel in (named if isinstance(named, dict) else {"?": None}).items():
             given = pixel if isinstance(pixel, list) else []
-            numbers = [float(c) for c in given if isinstance(c, int | float)]
-            if len(given) != 2 or len(numbers) != 2 or not np.isfinite(numbers).all():
+            if len(given) != 2 or not all(map(is_number, given)):
                 raise FormatError(
                     path,
                     field=f"points_px.{camera}.{name}",
                     found=repr(pixel),
                     expected="two finite numbers",
                 )
-            found.setdefault(name, {})[camera] = np.array(numbers)
+            found.setdefault(name, {})[camera] = np.array(given, float)
     return found
 
 

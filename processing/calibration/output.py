@@ -32,6 +32,7 @@ SIDE, GAP = 96, 8
 """Side of a chart's patches in their picture, and the gap between them, pixels."""
 NAME = "calibration.json"
 COLOUR, FLATS, LIGHTS = "colour.json", "flats.json", "lights.json"
+OWN = (NAME, COLOUR, FLATS, "flats-*.npz", LIGHTS, "chart-*.png")
 
 
 def make_calibration(
@@ -42,11 +43,12 @@ def make_calibration(
     All of it appears at once; a calibration that is there already is replaced.
 
     Raises:
-        FormatError: `out` is something else (refused before anything is measured).
+        FormatError: `out` is something else, or has files of others (refused before anything is
+            measured).
         ProcessingError: see `stage.calibrate`.
     """
     # A folder of calibration shots has a file of this name, too.
-    with atomic_folder(out, NAME, schema=RESULT) as folder:
+    with atomic_folder(out, NAME, schema=RESULT, own=OWN) as folder:
         found = calibrate(source, config, progress)
         if found.flats:
             write_flats(found.flats, folder / FLATS, {"source": source.facts})

@@ -1,10 +1,16 @@
 """RealFaceDB: the lab's store of whole maps, and the patches that may leave the lab."""
 
 from processing.dataset.about import About, Answers, read_about
-from processing.dataset.changes import add_scan, build_store, remove_scans, verify_store
+from processing.dataset.changes import (
+    STORE_FILES,
+    add_scan,
+    build_store,
+    remove_scans,
+    verify_store,
+)
 from processing.dataset.config import PublishConfig
 from processing.dataset.protection import narrow_gap
-from processing.dataset.publish import publish
+from processing.dataset.publish import RELEASE_FILES, publish
 from processing.dataset.release_files import verify_release
 from processing.dataset.scan import (
     CHANNELS,
@@ -22,13 +28,16 @@ from processing.dataset.store import (
     is_release,
     open_store,
 )
+from processing.dataset.versions import same_version
 
 __all__ = [
     "CHANNELS",
     "DATASET",
     "NO_SCANS",
     "PUBLISHED",
+    "RELEASE_FILES",
     "STORE",
+    "STORE_FILES",
     "About",
     "Answers",
     "DatasetError",
@@ -44,6 +53,7 @@ __all__ = [
     "read_about",
     "read_head_pose",
     "remove_scans",
+    "same_version",
     "verify_release",
     "verify_store",
     "without_people_files",

@@ -6,6 +6,7 @@ terms = "For research on skin. Nobody may try to find out who is shown."
 creators = ["Our Lab, Our University"]
 contact = "dataset@example.org"
 url = "https://example.org/skin-patches"
+version = "1.0.0"
 
 [answers]
 purpose = "To train networks that find how skin reflects light."

@@ -56,6 +56,12 @@ SHARDS, SHARDS_SCHEMA = "shards.json", "lightstage.shards/1"
 BESIDE = ".adding-"
 """Begins the name of a scan that is being written, in `scans`."""
 FOLDER_DIGITS = 16
+STORE_FILES = (
+    *(DATASET, ".dataset.*.json", LOCK, HISTORY, RELEASES, f"{SCANS}/*/{SHARDS}"),
+    *(f"{SCANS}/*/*/{file}" for file in ("zarr.json", "c/*/*/*")),
+    *(f"{SCANS}/{BESIDE}*{'/*' * depth}" for depth in range(1, 7)),
+)
+"""All that a store has, as globs, with what killed processes leave in it."""
 OF_A_SCAN = re.compile(f"[0-9a-f]{{{FOLDER_DIGITS}}}")
 """Names of scans; what has another was put there by hand."""
 
@@ -100,12 +106,12 @@ def build_store(
     problems: list[LightstageError] = []
     entries: list[Entry] = []
     known: dict[str, ScanEntry] = {}
-    require_replaceable(out, DATASET, STORE)
+    require_replaceable(out, DATASET, STORE, own=STORE_FILES)
     with contextlib.ExitStack() as stack:
         if (out / DATASET).is_file():
             # A scan that is added or removed meanwhile would be lost, or be back, with the new one.
             stack.enter_context(changing(out))
-        beside = stack.enter_context(atomic_folder(out, DATASET, STORE))
+        beside = stack.enter_context(atomic_folder(out, DATASET, STORE, own=STORE_FILES))
         for index, root in enumerate(processed):
             try:
                 if root.resolve() in {p.resolve() for p in processed[:index]}:

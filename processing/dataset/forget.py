@@ -17,6 +17,7 @@ from pathlib import Path
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.files import read_json, write_json
 from lightstage.formats.lock import locked
+from lightstage.formats.people import PEOPLE_LOCK, lists_person, take_off
 from processing.dataset.changes import changing, remove_scans
 from processing.dataset.contents import now_utc
 from processing.dataset.scan import DatasetError
@@ -113,7 +114,7 @@ def forget(
             "found": dataclasses.asdict(found),
         },
     )
-    _remove(found, progress)
+    _remove(subject, found, progress)
     left = what_is_left(subject, folders, found, plan)
     proof = plan.with_name(plan.name.replace("forget-", "forgotten-"))
     write_json(
@@ -149,10 +150,11 @@ def _half_built(found: Found) -> list[str]:
     return found.removed.get(HALF_BUILT, [])
 
 
-def _remove(found: Found, progress: ProgressCallback) -> None:
+def _remove(subject: str, found: Found, progress: ProgressCallback) -> None:
     paths = [Path(path) for kind in KINDS for path in found.removed.get(kind, [])]
     paths += [Path(path) for path in found.whole]
-    total = len(paths) + len(found.scans)
+    lists = [path for path in map(Path, found.lists) if lists_person(path, subject)]
+    total = len(paths) + len(found.scans) + len(lists)
     done = 0
     with contextlib.ExitStack() as stack:
         # All locks before the first file goes: who works on one of the folders is not disturbed.
@@ -168,6 +170,14 @@ def _remove(found: Found, progress: ProgressCallback) -> None:
                     hint=f"Wait until that {who} has ended, and call this again.",
                 )
                 stack.enter_context(locked(path / lock, busy))
+        for path in lists:
+            busy = ProcessingError(
+                path,
+                found="a list of people that `lightstage-sim dataset` is making now",
+                expected="one that is at rest",
+                hint="Wait until that command has ended, and call this again.",
+            )
+            stack.enter_context(locked(path.with_name(PEOPLE_LOCK), busy))
         for whole in map(Path, found.whole):
             if (whole / DATASET).is_file():
                 stack.enter_context(changing(whole))
@@ -178,6 +188,10 @@ def _remove(found: Found, progress: ProgressCallback) -> None:
             if (Path(store) / DATASET).is_file():
                 # Also those that were recorded since it was searched; no later one has the scans.
                 note_releases(Path(store), found)
+            done += 1
+            progress(done, total)
+        for path in lists:
+            take_off(path, subject)
             done += 1
             progress(done, total)
         for path in paths:
@@ -195,6 +209,7 @@ def found_in_words(found: Found) -> list[str]:
     lines += [
         f"store: {', '.join(names)} of {store}" for store, names in found.scans.items() if names
     ]
+    lines += [f"entry in the list of simulated people: {path}" for path in found.lists]
     lines += [f"store, which holds nobody else: {path}" for path in found.whole]
     lines += [
         f"stays, and held the person: {each['out']}, published on {each['utc']}"

@@ -31,13 +31,15 @@ from processing.dataset.about import About
 from processing.dataset.changes import record_release
 from processing.dataset.config import PublishConfig
 from processing.dataset.contents import Entry, read_entries
-from processing.dataset.croissant import write_croissant
-from processing.dataset.datasheet import write_datasheet
+from processing.dataset.croissant import CROISSANT, write_croissant
+from processing.dataset.datasheet import DATASHEET, write_datasheet
 from processing.dataset.groups import people_tables
 from processing.dataset.places import Layout, Place, clear_skin, places_of, size_that_shows, turned
 from processing.dataset.protection import cannot_protect
 from processing.dataset.release_files import (
     CHANNELS,
+    CHECKSUMS,
+    TARS,
     ReleaseWriter,
     TarRelease,
     ZarrRelease,
@@ -50,6 +52,11 @@ from processing.dataset.store import DATASET, PUBLISHED, PUBLISHED_SCHEMA, Scan,
 
 LEAST_KEPT = 0.5
 """Share of the places that a patch's size must leave, or the size is refused."""
+RELEASE_FILES = (
+    *(DATASET, DATASHEET, CROISSANT, CHECKSUMS, "zarr.json", TARS),
+    *(f"{name}/{file}" for name in CHANNELS for file in ("zarr.json", "c/*/*/*/*")),
+)
+"""All that a release has, as globs."""
 AVERAGED = ("diffuse_albedo", "specular_albedo", "shape")
 BLUR = {"diffuse_normal": 2.0**-11, "specular_normal": 2.0**-11, "shape": 2.0**-14}
 """Width of the random numbers that are added before a patch gets its own axes: a step of the stored
@@ -98,7 +105,7 @@ def publish(
     kept = np.flatnonzero(rng.random(len(places)) >= config.drop)
     # Dropping all of a few patches would leave nothing to publish.
     order = rng.permutation(kept if len(kept) else len(places))
-    with atomic_folder(out, DATASET, PUBLISHED) as beside:
+    with atomic_folder(out, DATASET, PUBLISHED, own=RELEASE_FILES) as beside:
         writer: ReleaseWriter = (
             ZarrRelease(beside, len(order), layout.size, config.shard_patches)
             if config.form == "zarr"
@@ -146,7 +153,15 @@ def publish(
         write_checksums(beside)
         give_one_time(beside)
         digest = sha256_file(beside / DATASET)
-        record_release(store, {"out": str(out.resolve()), "dataset_sha256": digest})
+        record_release(
+            store,
+            {
+                "out": str(out.resolve()),
+                "name": about.name,
+                "version": about.version,
+                "dataset_sha256": digest,
+            },
+        )
     return out
 
 

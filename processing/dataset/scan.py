@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.errors import FormatError
-from lightstage.formats.fields import MOST
+from lightstage.formats.fields import array_of
 from lightstage.formats.files import check_schema, read_json, sha256_file
 from lightstage.formats.names import require_pseudonym
 from lightstage.formats.people import is_people_file
@@ -279,11 +279,11 @@ def read_head_pose(path: Path) -> np.ndarray:
         check_schema(path, value, HEAD_SCHEMA)
     found = value.get("head_from_world") if isinstance(value, dict) else None
     try:
-        pose = np.array(found, float).reshape(3, 4)
+        pose = array_of(found, 3, 4)
         turn = np.where(np.abs(pose[:, :3]) <= 1.001, pose[:, :3], 0.0)  # else no rotation
         rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-4)
-        rigid = bool(rigid and np.linalg.det(turn) > 0 and (np.abs(pose) <= MOST).all())
-    except (TypeError, ValueError, OverflowError):
+        rigid = bool(rigid and np.linalg.det(turn) > 0)
+    except ValueError:
         rigid = False
     if not rigid:
         raise FormatError(

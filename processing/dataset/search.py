@@ -14,6 +14,7 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError
 from lightstage.formats.files import read_json, sha256_file
 from lightstage.formats.lock import abandoned
+from lightstage.formats.people import PEOPLE_LIST, lists_person
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.values import read_lines
 from processing.dataset.changes import BESIDE, OF_A_SCAN, folder_of
@@ -53,6 +54,7 @@ class Found:
         published: releases that held the person.
         checkpoints: that were trained on a store that held the person.
         hashes: SHA-256 of files that show the person, to their size.
+        lists: of simulated people, from which the person is taken.
     """
 
     removed: dict[str, list[str]] = dataclasses.field(default_factory=dict)
@@ -62,12 +64,13 @@ class Found:
     published: list[dict[str, Any]] = dataclasses.field(default_factory=list)
     checkpoints: list[str] = dataclasses.field(default_factory=list)
     hashes: dict[str, int] = dataclasses.field(default_factory=dict)
+    lists: list[str] = dataclasses.field(default_factory=list)
 
     @property
     def empty(self) -> bool:
         """Whether there is nothing of the person."""
         own = any(paths for kind, paths in self.removed.items() if kind != HALF_BUILT)
-        return not (own or self.scans or self.whole)
+        return not (own or self.scans or self.whole or self.lists)
 
     def add(self, kind: str, path: Path) -> None:
         """Note a path that goes."""
@@ -90,6 +93,7 @@ class Found:
         )
         both.checkpoints = sorted({*self.checkpoints, *other.checkpoints})
         both.hashes = {**self.hashes, **other.hashes}
+        both.lists = sorted({*self.lists, *other.lists})
         return both
 
 
@@ -141,6 +145,8 @@ def survey(
             for name in BATCH_LISTS:
                 if (path / name).exists():
                     found.add("list of a batch", path / name)
+        if lists_person(path / PEOPLE_LIST, subject):
+            found.lists.append(str(path / PEOPLE_LIST))
         if LEFT_BESIDE.fullmatch(path.name) and (kind == PUBLISHED or _holds_maps(path, names)):
             half_built.append(path)
         if kind is None:

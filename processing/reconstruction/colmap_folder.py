@@ -13,7 +13,12 @@ import numpy as np
 
 from lightstage.counting import counted
 from lightstage.errors import FormatError
-from lightstage.formats.files import atomic_folder, write_bytes, write_json
+from lightstage.formats.files import (
+    atomic_folder,
+    require_replaceable,
+    write_bytes,
+    write_json,
+)
 from processing.colmap import pycolmap
 from processing.reconstruction.views import Level, depth_to_points
 
@@ -26,6 +31,12 @@ SAME_MM = 0.5
 PICTURE = ".pgm"
 """A grey picture needs no library, and COLMAP reads it."""
 KINDS = ("geometric", "photometric")
+MAPS = ("depth_maps", "normal_maps")
+OWN = (
+    *(NAME, f"images/*{PICTURE}", "sparse/*.bin", "stereo/fusion.cfg", "stereo/patch-match.cfg"),
+    *(f"stereo/{maps}/*{PICTURE}.{kind}.bin" for maps in MAPS for kind in KINDS),
+)
+"""All that is in the folder; COLMAP's patch matching writes over the maps."""
 READ_COST = 0.2
 """Matching cost that depth of others is given: surer than most, less sure than our best."""
 
@@ -47,10 +58,10 @@ def write_colmap(
         sources: of each view (s,) the views it is matched with.
 
     Raises:
-        FormatError: `folder` is something else.
+        FormatError: `folder` is something else, or has files of others.
     """
-    with atomic_folder(folder, NAME) as beside:
-        for part in ("images", "sparse", "stereo/depth_maps", "stereo/normal_maps"):
+    with atomic_folder(folder, NAME, own=OWN) as beside:
+        for part in ("images", "sparse", *(f"stereo/{maps}" for maps in MAPS)):
             (beside / part).mkdir(parents=True)
         for k, name in enumerate(names):
             shown = _shown(level.pictures[k])
@@ -58,10 +69,10 @@ def write_colmap(
             write_bytes(beside / "images" / f"{name}{PICTURE}", head + shown.tobytes())
             depth = np.zeros(depths[k].shape, np.float32)
             np.divide(1, depths[k], out=depth, where=depths[k] > 0)
-            write_map(depth, _map_path(beside, "depth_maps", name))
+            write_map(depth, _map_path(beside, MAPS[0], name))
             turned = level.normals[k] @ level.poses[k][:, :3].T
             turned[depth == 0] = 0
-            write_map(turned, _map_path(beside, "normal_maps", name))
+            write_map(turned, _map_path(beside, MAPS[1], name))
         _sparse(names, level, depths).write(beside / "sparse")
         listed = "".join(f"{name}{PICTURE}\n" for name in names)
         write_bytes(beside / "stereo" / "fusion.cfg", listed.encode())
@@ -112,6 +123,11 @@ def read_colmap(
     if not found:
         raise _no_map(folder)
     return depths, costs
+
+
+def require_writable(folder: Path) -> None:
+    """Refuse what `write_colmap` would not replace, before hours of work; errors as there."""
+    require_replaceable(folder, NAME, own=OWN)
 
 
 def require_maps(folder: Path) -> None:

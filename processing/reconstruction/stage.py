@@ -20,7 +20,7 @@ from processing.coarse_maps import read_coarse
 from processing.errors import ReconstructionError
 from processing.frames.read import read_foreground, read_frames
 from processing.lighting.lights import PatternLights, pattern_lights
-from processing.reconstruction.colmap_folder import read_colmap, write_colmap
+from processing.reconstruction.colmap_folder import read_colmap, require_writable, write_colmap
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.fusion import Holes, alone_share, boundary_loops
 from processing.reconstruction.given import facts_of_occluders, given_mesh, read_given
@@ -317,7 +317,7 @@ def reconstruct_views(
 
     Raises:
         ReconstructionError: fewer than two views show anything, or no points agree.
-        FormatError: a COLMAP folder that is named and is none.
+        FormatError: a COLMAP folder that is named and is none, or that would not be replaced.
     """
     showing = [view.camera.id for view in views if np.isfinite(view.textures).any()]
     if len(showing) < 2:
@@ -331,6 +331,8 @@ def reconstruct_views(
             "with --until separate.",
         )
     names = [view.camera.id for view in views]
+    if config.colmap_to:
+        require_writable(Path(config.colmap_to))
     if config.colmap_from:
         level = pyramid(views, config.finest_rows, config.coarsest_rows)[-1]
         read: Depths = level, *read_colmap(Path(config.colmap_from), names, level)

@@ -10,7 +10,7 @@ from lightstage.commands import ProgressCallback, quiet
 from processing.refinement.bounces import bounced_light, other_skin, vertex_irradiance
 from processing.refinement.config import RefineConfig
 from processing.refinement.gloss import better_gloss, sum_at_vertices
-from processing.refinement.joint import Scattered, gloss_evidence, near_matte, solve_jointly
+from processing.refinement.joint import Scattered, gloss_evidence, solve_searching
 from processing.refinement.joint_kernels import Solved
 from processing.refinement.model_choice import Step, best_model
 from processing.refinement.scattering import scattered, unscattered
@@ -117,20 +117,8 @@ def solve_grid(scene: Scene, view: View, before: Solved | None, config: RefineCo
         around = unscattered(len(start), len(scene.lights.patterns))
     else:
         start, around = before.normal, around_of(scene, view, before)
-    solved = solve_some(scene, view, ALL, start, around, config)
-    return solved if scene.lights.polarised else near_matte(solved, config.apart_deg)
-
-
-def solve_some(
-    scene: Scene,
-    view: View,
-    some: slice | np.ndarray,
-    start: np.ndarray,
-    around: Scattered,
-    config: RefineConfig,
-) -> Solved:
-    """One step for (n,) some of a view's pixels, from (n, 3) normals and light that wanders."""
-    return solve_jointly(given_of(scene, view, some, start, around, config.noise), rounds=1)
+    given = given_of(scene, view, ALL, start, around, config.noise)
+    return solve_searching(given, config.apart_deg)
 
 
 def around_of(scene: Scene, view: View, solved: Solved) -> Scattered:

@@ -139,6 +139,15 @@ def solve_jointly(given: Given, rounds: int = 2) -> Solved:
     return out
 
 
+def solve_searching(given: Given, apart_deg: float) -> Solved:
+    """One step of `solve_jointly` while the gloss is still searched: normals stay `near_matte`.
+
+    Polarised light shows what is mirrored without its colour: there they need not.
+    """
+    solved = solve_jointly(given, rounds=1)
+    return solved if given.lights.polarised else near_matte(solved, apart_deg)
+
+
 def near_matte(solved: Solved, apart_deg: float) -> Solved:
     """Normals of all readings, turned back to the matte ones where gloss explains no such distance.
 

@@ -32,8 +32,8 @@ from processing.refinement.joint import (
     Scattered,
     gloss_evidence,
     held_out,
-    near_matte,
     solve_jointly,
+    solve_searching,
 )
 from processing.refinement.scene import Scene, View, from_edge, given_of, steady
 
@@ -319,10 +319,7 @@ def fitted(
         sums = np.zeros((len(scene.surface.vertices), 5))
         for k, sample in enumerate(samples):
             given = _given(scene, sample, normals[k], arounds[k], config)
-            solved = solve_jointly(given, rounds=1)
-            if not scene.lights.polarised:
-                solved = near_matte(solved, config.apart_deg)
-            normals[k] = solved.normal
+            normals[k] = solve_searching(given, config.apart_deg).normal
             fit_from = slice(0, None, 2)
             some = _given(scene, sample, normals[k], arounds[k], config, fit_from)
             evidence = gloss_evidence(some) * sample.trust[fit_from, None]

@@ -32,7 +32,7 @@ from processing.errors import RegistrationError
 from processing.rays import MeshRays, interpolate
 from processing.registration.landmarks import Triangulated, triangulate
 from processing.registration.rigid import robust_umeyama
-from processing.registration.start import SIZES
+from processing.registration.start import MARKS, SIZES
 
 SIDES_DEG = (0.0, -30.0, 30.0)
 UNLIKE_MM = 10.0
@@ -217,7 +217,7 @@ def landmarks_of_mesh(
     if first is not None:  # what is wrong with them is reported where they are aligned
         return FoundOnMesh(first, upright)
     raise RegistrationError(
-        "landmarks",
+        MARKS,
         found=f"none in pictures of the mesh from the front and in {len(others)} other turns",
         expected="a face",
         hint="Is there a face on it? Does it point along an axis of the mesh, within 30 degrees?",

@@ -35,7 +35,7 @@ from processing.registration.providers import (
 )
 from processing.registration.residual import residual, scan_in_common, write_residual
 from processing.registration.rigid import Similarity, robust_umeyama
-from processing.registration.start import first_pose, require_surface
+from processing.registration.start import first_pose, named, require_surface
 from processing.registration.target import Target, quieted, sky_share
 from processing.splitting import unsplit
 
@@ -81,7 +81,8 @@ def register(
         agree_mm=config.detected_agree_mm if by == DETECTOR else config.click_agree_mm,
         surface=MeshRays(scan.vertices, scan.triangles()),
     )
-    vertices, facts = register_mesh(scan, found.points_mm, template, config, progress)
+    with named(folder.base_mesh, session.root / LANDMARKS if by == LANDMARKS else None):
+        vertices, facts = register_mesh(scan, found.points_mm, template, config, progress)
     registered = template.mesh.with_vertices(vertices)
     write_obj(registered, folder.registered_mesh)
     left = residual(scan, vertices, template.mesh.triangles())
@@ -117,12 +118,13 @@ def _landmarks(
         finder = CommandLandmarks(config.landmark_command)
         return finder.find(_pictures(session, folder)), "program"
     if (session.root / LANDMARKS).is_file():
-        return read_clicked(session.root / LANDMARKS, session.rig), "landmarks.json"
+        return read_clicked(session.root / LANDMARKS, session.rig), LANDMARKS
     pictures = _pictures(session, folder)
     found = DetectedLandmarks(template).find(pictures)
     if not found:
         raise RegistrationError(
-            "landmarks",
+            session.root,
+            field="landmarks",
             found=f"no face in {counted(len(pictures), 'view')}, and no {LANDMARKS}",
             expected="a face in two or more",
             hint=CLICK,

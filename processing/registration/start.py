@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
 import numpy as np
 
 from lightstage.formats.mesh import Mesh, vertex_normals
@@ -11,12 +15,37 @@ from processing.registration.rigid import Similarity, robust_umeyama, umeyama
 from processing.registration.target import Target
 from processing.units import CM, METRES, MM, Unit
 
+SCAN, MARKS = "scan", "landmarks"
+"""What errors are about, until `named` puts a file in their place."""
 OFF_THE_SCAN = 0.25
 """Landmarks farther from the surface than this share of their own size are not on the scan."""
 SIZES = (0.6, 1.6)
 """Landmarks in mm are so many times as far apart as the template's."""
 SCAN_TIMES = 5.0
 """A scan in mm is at most so many times as large as the template, or as small: a body, a nose."""
+
+
+@contextlib.contextmanager
+def named(scan: Path | str, landmarks: Path | None = None) -> Iterator[None]:
+    """Name what a scan and landmarks are from in errors of the block, which knows them as arrays.
+
+    Args:
+        scan: its file, or what it is.
+        landmarks: their file; None where they were found on the scan.
+    """
+    try:
+        yield
+    except RegistrationError as error:
+        if error.where not in (SCAN, MARKS):
+            raise
+        of_scan = error.where == SCAN
+        raise RegistrationError(
+            scan if of_scan or landmarks is None else landmarks,
+            field=error.field if of_scan else ", ".join(filter(None, (MARKS, error.field))),
+            found=error.found,
+            expected=error.expected,
+            hint=error.hint,
+        ) from None
 
 
 def require_surface(scan: Mesh) -> None:
@@ -28,13 +57,17 @@ def require_surface(scan: Mesh) -> None:
     if not np.isfinite(scan.vertices).all():
         bad = int((~np.isfinite(scan.vertices)).any(axis=1).sum())
         raise RegistrationError(
-            "scan", field="vertices", found=f"{bad} with NaN or infinity", expected="finite mm"
+            SCAN,
+            field="vertices",
+            found=f"{bad} with NaN or infinity",
+            expected="finite mm",
+            hint="Remove them in a mesh editor, or export the scan again.",
         )
     corners = scan.vertices[scan.triangles()]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     if not np.abs(cross).any():
         raise RegistrationError(
-            "scan",
+            SCAN,
             field="triangles",
             found=f"{len(corners)}, none with an area",
             expected="a surface",
@@ -62,7 +95,7 @@ def first_pose(
     """
     if known.sum() < 4:
         raise RegistrationError(
-            "landmarks",
+            MARKS,
             found=f"{int(known.sum())} of 68 known",
             expected="at least 4",
             hint="Mark eye corners, nose tip and mouth corners at least.",
@@ -72,7 +105,7 @@ def first_pose(
     spread = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
     if spread[2] < 0.02 * spread[0]:
         raise RegistrationError(
-            "landmarks",
+            MARKS,
             found="all in one plane",
             expected="points that span a volume",
             hint="Add some off that plane, such as the nose tip and the jaw line.",
@@ -84,7 +117,7 @@ def first_pose(
         error = np.median(np.linalg.norm(mirrored.apply(head) - world, axis=1))
         if error < 0.5 * np.median(residual):
             raise RegistrationError(
-                "landmarks",
+                MARKS,
                 found=f"a mirror image ({error:.1f} mm against {np.median(residual):.1f} mm)",
                 expected="landmarks in iBUG's order, on a scan that is not mirrored",
                 hint="Points 0 to 16 go from the person's right ear to the left one; was an axis "
@@ -92,7 +125,7 @@ def first_pose(
             )
     if np.median(residual) > 20:
         raise RegistrationError(
-            "landmarks",
+            MARKS,
             found=f"{np.median(residual):.0f} mm median from the template's after alignment",
             expected="less than 20 mm",
             hint="Are they in iBUG's order?",
@@ -101,7 +134,7 @@ def first_pose(
     away = np.median(closest.distance_mm)
     if away > 20:
         raise RegistrationError(
-            "landmarks",
+            MARKS,
             found=f"{away:.0f} mm median from the scan's surface",
             expected="points on the scan",
             hint="Are landmarks and scan in the same coordinates?",
@@ -111,7 +144,7 @@ def first_pose(
     agree = np.einsum("nk,nk->n", outward, closest.normal)
     if np.median(agree) < -0.5:
         raise RegistrationError(
-            "scan",
+            SCAN,
             field="normals",
             found="triangles that point inward",
             expected="counter-clockwise seen from outside",
@@ -156,15 +189,15 @@ def _require_units(target: Target, world: np.ndarray, head: np.ndarray, template
     fits, scan_fits = SIZES[0] < size < SIZES[1], 1 / SCAN_TIMES < scan < SCAN_TIMES
     scale = "(metres x 1000, centimetres x 10)"
     if fits and apart and not scan_fits:
-        where, found = "scan", f"a scan {scan:.3g} times as large as the template, and landmarks "
+        where, found = SCAN, f"a scan {scan:.3g} times as large as the template, and landmarks "
         found += f"{size:.3g} times"
         hint = f"The landmarks are in mm. Scale the scan {scale}."
     elif not fits and apart and scan_fits:
-        where, found = "landmarks", f"landmarks {size:.3g} times as far apart as the template's, "
+        where, found = MARKS, f"landmarks {size:.3g} times as far apart as the template's, "
         found += f"and a scan {scan:.3g} times as large"
         hint = f"The scan is in mm. Scale the landmarks {scale}."
     elif not fits:
-        where, found = "landmarks", f"a scan {size:.3g} times as large as the template"
+        where, found = MARKS, f"a scan {size:.3g} times as large as the template"
         hint = (
             f"Scale the scan and its landmarks {scale}, or the template if that one is not in mm."
         )

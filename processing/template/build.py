@@ -9,7 +9,7 @@ import numpy as np
 from lightstage.formats.files import atomic_folder
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.png import write_png
-from lightstage.formats.template import Modes, Template, save_template
+from lightstage.formats.template import OWN, Modes, Template, save_template
 from processing.atlas.finish import gutter_sources
 from processing.atlas.raster import Raster, rasterise
 from processing.laplacian import neighbour_mean
@@ -54,9 +54,9 @@ def write_template(template: Template, out: Path, config: ImportConfig) -> Path:
     """Write a template folder, whole or not at all; returns `out`.
 
     Raises:
-        FormatError: `out` holds something that is no template.
+        FormatError: `out` holds something that is no template, or files of others.
     """
-    with atomic_folder(out, MARKER) as beside:
+    with atomic_folder(out, MARKER, own=OWN) as beside:
         save_template(template, beside)
         raster = map_raster(template.mesh, config)
         skin = np.zeros((len(template.mesh.vertices), 1))

@@ -220,6 +220,7 @@ def transfer_command(
     from processing.template.transfer import (
         MASK,
         MESH,
+        OWN,
         find_maps,
         pair_of_meshes,
         registered_pair,
@@ -230,7 +231,7 @@ def transfer_command(
         raise ProcessingError(
             "--out", found="the folder of the maps", expected="another one, as it is replaced whole"
         )
-    require_new(out, overwrite, MASK)
+    require_new(out, overwrite, MASK, own=OWN)
     register = pipeline_config.read_config(config).register
     settings = TransferConfig()
     find_maps(maps)
@@ -302,10 +303,11 @@ def _import(
 ) -> None:
     """Make a template, write it, print its facts."""
     from lightstage.formats.files import require_new
+    from lightstage.formats.template import OWN
     from processing.template.build import MARKER, write_template
     from processing.template.config import ImportConfig
 
-    require_new(out, overwrite, MARKER)
+    require_new(out, overwrite, MARKER, own=OWN)
     config = ImportConfig()
     with progress_bar(title) as progress:
         template, facts = made(config, progress)

@@ -15,6 +15,7 @@ from lightstage.formats.files import read_json
 from lightstage.formats.landmarks import COUNTS, SCHEME, read_points_mm
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.template import Template
+from processing.registration.start import named
 from processing.template.build import with_maps
 from processing.template.config import ImportConfig
 from processing.template.frame import head_from_mesh, is_inside_out
@@ -70,7 +71,8 @@ def import_obj(
             hint="Turn all faces over in a mesh editor (flip normals), and export it again.",
         )
     if regions is None:
-        found = guessed_regions(mesh, marks, own, settings, progress=progress)
+        with named(path, landmarks):
+            found = guessed_regions(mesh, marks, own, settings, progress=progress)
     else:
         found = read_regions(regions, len(mesh.vertices))
     template = with_maps(path.stem, mesh, marks, found, None, licence, path.name, settings)

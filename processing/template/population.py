@@ -16,6 +16,7 @@ from processing.errors import ProcessingError
 from processing.laplacian import cotangent_laplacian
 from processing.registration.config import RegisterConfig
 from processing.registration.stage import head_pose, register_mesh
+from processing.registration.start import named
 from processing.template.config import PopulationConfig, TransferConfig
 from processing.template.correspond import carried_vertices
 
@@ -56,7 +57,8 @@ def population_of(
     landmarks = other.mesh.vertices[other.landmarks].astype(float)
     landmarks[LOOSE] = np.nan
     scan = Mesh(other.mesh.vertices, other.mesh.triangles())
-    fitted, _ = register_mesh(scan, landmarks, template, RegisterConfig())
+    with named(f"template {other.name}"):
+        fitted, _ = register_mesh(scan, landmarks, template, RegisterConfig())
     placed = template.mesh.with_vertices(fitted)
     chosen = other.modes.identity[: config.modes]
     transfer = TransferConfig()

@@ -22,6 +22,7 @@ from processing.atlas.raster import Raster, rasterise, texel_size_mm
 from processing.atlas.tangents import from_tangent_space, tangent_frames, to_tangent_space
 from processing.registration.config import RegisterConfig
 from processing.registration.stage import register_mesh
+from processing.registration.start import named
 from processing.template.config import TransferConfig
 from processing.template.correspond import Surface, carried_vertices
 from processing.template.regions import joined_to
@@ -29,6 +30,7 @@ from processing.template.resample import nearest, sampled
 
 MASK = "mask.png"
 MESH = "registered_mesh.obj"
+OWN = ("*.exr", "*.png", MESH)
 COUNTED = {"view": -1.0, "filled": 0.0, "coverage": 0.0, "skin": 0.0}
 """Maps of numbers that have no mean, and their values where nothing is."""
 CHUNK = 1 << 20
@@ -114,7 +116,8 @@ def registered_pair(
     outer = joined_to(other.landmarks, triangles, len(whole.vertices))
     scan = Mesh(whole.vertices, triangles[outer[triangles].all(axis=1)])
     marks = whole.vertices[other.landmarks]
-    vertices, facts = register_mesh(scan, marks, one, register, progress)
+    with named(f"template {other.name}"):
+        vertices, facts = register_mesh(scan, marks, one, register, progress)
     placed = one.mesh.with_vertices(vertices)
     if given is None:
         return Pair(placed, whole, vertices, whole.vertices, facts)
@@ -169,7 +172,7 @@ def transfer(
     files = find_maps(maps)
     grids: dict[tuple[int, int], Grid] = {}
     carrier = Carrier(pair, config)
-    with atomic_folder(out, MASK) as beside:
+    with atomic_folder(out, MASK, own=OWN) as beside:
         for done, file in enumerate(files):
             progress(done, len(files))
             image, unit = _read(file)

@@ -11,7 +11,6 @@ import json
 import multiprocessing
 import os
 import shutil
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -20,7 +19,7 @@ from pathlib import Path
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.files import atomic_folder, leftovers, read_json, write_json
 from lightstage.formats.lock import locked
-from lightstage.formats.people import PEOPLE_LIST, PEOPLE_LOCK, PEOPLE_SCHEMA
+from lightstage.formats.people import PEOPLE_LIST, PEOPLE_LOCK, PEOPLE_SCHEMA, people_counts
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.values import parse_json
 from lightstage.rig import default_rig
@@ -309,13 +308,6 @@ def _is_made(plan: Plan, person: Person, expression: str, session: bool) -> bool
 
 def _write_list(plan: Plan) -> None:
     """The list: everyone, and how many there are of each kind."""
-    traits = [person.traits for person in plan.persons]
-    counts = {
-        "sex": Counter(t.sex for t in traits),
-        "age": Counter(f"{int(t.age_years) // 10 * 10}s" for t in traits),
-        "tone": Counter(str(t.tone) for t in traits),
-        "look": Counter(t.look for t in traits),
-    }
     persons = [
         {"name": p.name, "seed": p.seed, **dataclasses.asdict(p.traits)} for p in plan.persons
     ]
@@ -323,7 +315,7 @@ def _write_list(plan: Plan) -> None:
         "schema": PEOPLE_SCHEMA,
         "expressions": list(plan.expressions),
         "rows": plan.rows,
-        "counts": {name: dict(sorted(count.items())) for name, count in counts.items()},
+        "counts": people_counts(persons),
         "people": persons,
     }
     write_json(plan.out / PEOPLE_LIST, value)

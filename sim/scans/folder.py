@@ -22,7 +22,14 @@ import numpy as np
 
 from lightstage.counting import counted
 from lightstage.formats.exr import read_exr, write_exr
-from lightstage.formats.files import atomic_folder, read_json, write_json, write_text
+from lightstage.formats.fields import array_of
+from lightstage.formats.files import (
+    atomic_folder,
+    read_json,
+    require_replaceable,
+    write_json,
+    write_text,
+)
 from lightstage.formats.mesh import Mesh, read_obj
 from lightstage.formats.png import write_png
 from lightstage.session import check_pseudonym
@@ -42,6 +49,8 @@ _MAPS = {
     "translucency": (1, 0.0, 1.0),
     "anisotropy": (1, 0.0, 0.9),
 }
+
+OWN = (MARKER, "mesh.obj", "skin.png", *(f"maps/{name}.exr" for name in _MAPS))
 
 
 def save_subject(subject: Subject, path: Path, facts: dict[str, Any] | None = None) -> Path:
@@ -78,7 +87,7 @@ def save_subject(subject: Subject, path: Path, facts: dict[str, Any] | None = No
     }
     if facts is not None:
         value["import"] = facts
-    with atomic_folder(path, MARKER) as folder:
+    with atomic_folder(path, MARKER, own=OWN) as folder:
         write_text(folder / "mesh.obj", _obj_text(subject.mesh))
         for name, image in maps.items():
             write_exr(folder / "maps" / f"{name}.exr", image, half=False)
@@ -88,7 +97,11 @@ def save_subject(subject: Subject, path: Path, facts: dict[str, Any] | None = No
 
 
 def require_free(path: Path) -> None:
-    """SimError when `save_subject` would refuse `path`: raised before the work, not after it."""
+    """What `save_subject` refuses of `path`, raised before the work, not after it.
+
+    Raises:
+        SimError: something else than a subject; FormatError: files of others.
+    """
     taken = path.is_file() or (path.is_dir() and any(path.iterdir()))
     if taken and not (path / MARKER).is_file():
         raise SimError(
@@ -97,6 +110,7 @@ def require_free(path: Path) -> None:
             expected="a new folder, or a subject to replace",
             hint="Choose another output folder.",
         )
+    require_replaceable(path, MARKER, own=OWN)
 
 
 def load_subject_folder(path: Path) -> Subject:
@@ -225,13 +239,12 @@ def _read_skin(path: Path) -> np.ndarray:
 
 def _numbers(value: object, shape: tuple[int, ...], where: Path, field: str) -> np.ndarray:
     try:
-        out = np.array(value, float)
-    except (TypeError, ValueError):
-        out = np.empty(0)
-    if out.shape != shape or not np.isfinite(out).all():
+        return array_of(value, *shape)
+    except ValueError:
         wanted = " x ".join(str(n) for n in shape)
-        raise SimError(where, field=field, found=repr(value)[:60], expected=f"{wanted} numbers")
-    return out
+        raise SimError(
+            where, field=field, found=repr(value)[:60], expected=f"{wanted} numbers"
+        ) from None
 
 
 def _obj_text(mesh: Mesh) -> str:

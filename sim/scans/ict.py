@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from lightstage.counting import counted
+from lightstage.formats.fields import Fields, array_of
 from lightstage.formats.files import read_json
 from lightstage.formats.mesh import Mesh, read_obj
 from lightstage.formats.npz import UNREADABLE_NPZ
@@ -103,15 +105,18 @@ def _load(folder: Path, used: Path, _changed: int) -> IctModel:
 
 def _read_landmarks(path: Path) -> np.ndarray:
     expected = "68 vertex indices"
+    field = "idx_to_landmark_verts"
+    given = Fields(read_json(path), path, error=SimError).rest().get(field)
     try:
-        marks = np.array(read_json(path)["idx_to_landmark_verts"], np.int64)
-    except (ValueError, TypeError, KeyError, OverflowError) as error:
-        raise SimError(path, found=repr(error), expected=expected) from None
-    if marks.shape != (68,) or marks.min() < 0:
-        raise SimError(
-            path, field="idx_to_landmark_verts", found=f"shape {marks.shape}", expected=expected
-        )
-    return marks
+        marks = array_of(given, 68)
+    except ValueError:
+        marks = np.full(68, -1.0)
+    if (marks < 0).any() or (marks % 1 != 0).any():
+        found = ascii(given)[:60]
+        if isinstance(given, list) and len(given) != 68:
+            found = counted(len(given), "entry", "entries")
+        raise SimError(path, field=field, found=found, expected=expected)
+    return marks.astype(np.int64)
 
 
 def _from_file(path: Path, landmarks: np.ndarray) -> IctModel:

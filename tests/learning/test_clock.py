@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -23,6 +24,24 @@ def test_a_part_within_another_counts_once(monkeypatch: pytest.MonkeyPatch) -> N
     assert dict(clock.seconds) == {RENDERING: 4.0, DATA: 2.0, IDLE: 2.0, NETWORK: 10.0}
     expected = {DATA: 2 / 18, RENDERING: 4 / 18, NETWORK: 10 / 18, IDLE: 8 / 18}
     assert clock.shares() == pytest.approx(expected)
+
+
+def test_what_is_made_while_no_step_runs_has_no_share(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = iter([0.0, 5.0, 5.0, 6.0, 7.0, 8.0, 10.0, 10.0, 12.0, 18.0])
+    monkeypatch.setattr(clocks.time, "perf_counter", lambda: next(now))
+    clock = Clock()
+    with clock.part(RENDERING):  # 0 to 5: what the data are made of
+        pass
+    ahead, other = clock.part(DATA), ThreadPoolExecutor(1)
+    with clock.part(NETWORK):  # 5 to 10
+        with clock.part(IDLE):  # 6 to 7
+            pass
+        other.submit(ahead.__enter__).result()  # from 8: of the step after the last one
+    with clock.part(RENDERING):  # 10 to 12: scores
+        pass
+    other.submit(ahead.__exit__, None, None, None).result()  # to 18
+    other.shutdown()
+    assert clock.shares() == {DATA: 0.4, RENDERING: 0.0, NETWORK: 0.8, IDLE: 0.2}
 
 
 def test_threads_count_their_own_parts(monkeypatch: pytest.MonkeyPatch) -> None:

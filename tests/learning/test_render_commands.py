@@ -86,6 +86,35 @@ def test_render_takes_a_picture_of_light_turns_it_and_goes_round_the_head(
     assert cv2.imread(str(tmp_path / "t_001.png"), cv2.IMREAD_UNCHANGED).shape[2] == 3
 
 
+def test_under_a_picture_of_light_the_printed_formulas_are_about_as_bright_as_others(
+    people: list[ProcessedFolder], tmp_path: Path
+) -> None:
+    """The ambient intensity, which multiplies there, is 1: a picture has none."""
+    base = ["render", "--maps", people[0].root / "atlas", "--rig", rig_file(tmp_path), "--json"]
+    base += ["--background", "black", "--shadows", "none", "--out", tmp_path / "o.exr"]
+    window = np.full((16, 32, 3), 0.2, np.float32)
+    window[3:7, 14:20] = 20  # before the face and above
+    picture = write_exr(tmp_path / "window.exr", window)
+
+    def green(light: Path, mode: str) -> tuple[float, list[str]]:
+        facts = json.loads(printed(*base, "--environment", light, "--mode", mode).splitlines()[-1])
+        return float(read_exr(tmp_path / "o.exr")[..., 1].mean()), facts["notes"]
+
+    usual, _ = green(picture, "physical")
+    paper, notes = green(picture, "paper")
+    assert notes == []
+    assert 0.5 * usual < paper < 2 * usual
+    # Of a light set the user states it.
+    lamp = np.array([[0.0, 300.0, 900.0]]), np.ones((1, 3))
+    dark = write_lights(LightSet("lamp", *lamp, np.zeros(3)), tmp_path / "dark.json")
+    one = write_lights(LightSet("lamp", *lamp, np.ones(3)), tmp_path / "one.json")
+    (black, noted), (lit, none) = green(dark, "paper"), green(one, "paper")
+    assert black < 0.1 * lit
+    assert "by which mode paper multiplies" in noted[0]
+    assert none == []
+    assert green(dark, "physical")[1] == []
+
+
 def test_pngs_are_over_their_background_and_without_one_keep_the_surfaces_colour_at_edges(
     tmp_path: Path,
 ) -> None:

@@ -279,6 +279,9 @@ def test_a_flat_albedo_scores_as_its_baseline_and_shows_no_detail(store_path: Pa
     assert found.detail_input > 0.1
     assert found.psnr_flat_db > found.psnr_input_db
     assert found.psnr_db <= found.psnr_flat_db + 1.0
+    # Whose tone it is is in its name: that of the person held out is another figure.
+    assert found.guesses()["the training people's tone alone"] == found.psnr_flat_db
+    assert all(f"{name} " in found.sentence() for name in found.guesses())
 
 
 @pytest.mark.parametrize(("norm", "texels"), [("texel", 1), ("patch", 32**2)])

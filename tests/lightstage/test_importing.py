@@ -166,6 +166,36 @@ def test_every_misnamed_or_missing_photograph_is_reported_at_once(folder, small_
     assert "pattern 'z*'" in message
 
 
+def test_what_is_wrong_with_many_photographs_alike_is_one_problem(folder, tmp_path, small_rig):
+    """Eight were cropped in one way, one is grey."""
+    for path in folder.rglob("*.exr"):
+        write_exr(path, np.ones((40, 32, 3), np.float32))
+    write_exr(folder / "x+" / "cam1.exr", np.ones((48, 32), np.float32))
+    with pytest.raises(FormatError) as caught:
+        import_session(folder, small_rig, tmp_path / "S", "p1", "neutral")
+    first, *lines = str(caught.value).splitlines()
+    assert first == "2 problems:"
+    assert lines[0].startswith(
+        f"  {folder}/full/cam0.exr and 7 more photographs: found 32 x 40 pixels, expected 32 x 48, "
+        "as the rig has its camera. "
+    )
+    assert lines[1].startswith(f"  {folder}/x+/cam1.exr: found one channel")
+    assert len(lines) == 2
+
+
+def test_files_that_are_named_after_no_camera_are_one_problem_and_missing_ones_are_each_named(
+    folder, small_rig
+):
+    for path in (folder / "x+").iterdir():
+        path.rename(path.with_name(f"DSC_{path.name}"))
+    with pytest.raises(FormatError) as caught:
+        find_photographs(folder, small_rig)
+    first, *lines = str(caught.value).splitlines()
+    assert first == "4 problems:"
+    assert "x+/DSC_cam0.exr and 2 more files: found no camera of the rig" in lines[0]
+    assert [f"x+/cam{k}: found no photograph" in lines[k + 1] for k in range(3)] == [True] * 3
+
+
 @pytest.mark.parametrize("damage", ["nan", "cut", "jpeg", "empty"])
 def test_a_damaged_photograph_leaves_nothing_behind(folder, tmp_path, small_rig, damage):
     path = folder / "x+" / "cam1.exr"

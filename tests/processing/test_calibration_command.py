@@ -208,6 +208,10 @@ def test_the_command_writes_a_folder_that_a_session_can_carry(targets, found, tm
     carried = read_calibration(out, rig)
     assert carried.colour["full_levels"] == [1.0] * len(rig.lights)
     assert set(carried.beside) == {"flats.json", "flats-cam0.npz", "flats-cam1.npz"}
+    (out / "letters.txt").write_text("mine")
+    with pytest.raises(FormatError, match=r"CALIBRATION: found letters\.txt, which the command"):
+        make_calibration(read_source(lab), CalibrateConfig(), out)
+    assert (out / "letters.txt").read_text() == "mine"
 
 
 def test_the_newest_finished_shots_count(targets, tmp_path):

@@ -16,6 +16,7 @@ from lightstage.formats.processed import ProcessedFolder
 from processing.dataset import (
     CHANNELS,
     PublishConfig,
+    add_scan,
     build_store,
     open_store,
     without_people_files,
@@ -207,6 +208,25 @@ def test_a_folder_of_something_else_is_not_replaced(tmp_path: Path, make_process
     with pytest.raises(LightstageError, match="another output folder"):
         build_store([make_processed(tmp_path / "a")], tmp_path / "mine")
     assert (tmp_path / "mine" / "letter.txt").read_text() == "dear"
+
+
+def test_a_store_with_files_of_others_is_not_replaced_and_what_a_killed_call_left_goes(
+    tmp_path: Path, make_processed: Make
+) -> None:
+    store = build_store([make_processed(tmp_path / "a")], tmp_path / "store")
+    scan = next((store / "scans").iterdir())
+    half = store / "scans" / ".adding-01234567" / "position" / "c" / "0" / "0"
+    half.mkdir(parents=True)
+    (half / "0.partial").write_text("half")
+    for mine in (store / "letter.txt", scan / "letter.txt", store / "scans" / "letter.txt"):
+        mine.write_text("dear")
+        with pytest.raises(LightstageError, match=r"letter\.txt, which the command did not make"):
+            build_store([tmp_path / "a"], store)
+        mine.unlink()
+    add_scan(store, make_processed(tmp_path / "b", subject="b", seed=2))
+    build_store([tmp_path / "a"], store)
+    assert not half.exists()
+    assert len(open_store(store).scans) == 1
 
 
 def test_a_store_of_a_newer_version_is_refused(tmp_path: Path, make_processed: Make) -> None:

@@ -15,6 +15,7 @@ import pytest
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.files import write_json
 from lightstage.formats.lock import being_filled, locked
+from lightstage.formats.people import people_counts
 from processing.dataset import PublishConfig, build_store, forget, open_store, verify_store
 from processing.dataset.named import names_subject
 from processing.records import RUN_LOCK
@@ -385,3 +386,69 @@ def test_a_store_of_that_person_alone_goes_as_a_whole(lab: Path, tmp_path: Path)
     assert found.whole == [str(lab / "own store")]
     assert not (lab / "own store").exists()
     assert left == {"by_hash": [], "by_pseudonym": []}
+
+
+def people_list(folder: Path) -> Path:
+    """The list that `lightstage-sim dataset` writes beside three people."""
+    people = [
+        {"name": f"person-{i}", "seed": i, "sex": sex, "age_years": age, "tone": 2, "look": "plain"}
+        for i, (sex, age) in enumerate([("male", 20.2), ("female", 52.6), ("male", 35.0)])
+    ]
+    value = {"schema": "lightstage.people/1", "counts": people_counts(people), "people": people}
+    return write_json(folder / "people.json", value)
+
+
+def test_a_simulated_person_is_taken_off_the_list_of_people_and_the_others_stay(
+    lab: Path, tmp_path: Path, command: Callable[..., Any]
+) -> None:
+    path = people_list(lab / "P")
+    path.chmod(0o640)
+    listed = command(WHO, "--in", lab, "--out", tmp_path / "office")
+    assert f"entry in the list of simulated people: {path}" in listed.out
+    assert WHO in path.read_text()
+    ended = command(WHO, "--in", lab, "--out", tmp_path / "office", "--yes")
+    assert ended.code == 0, ended.err
+    value = json.loads(path.read_text())
+    assert [each["name"] for each in value["people"]] == ["person-0", "person-2"]
+    assert value["counts"]["sex"] == {"male": 2}
+    assert value["counts"]["age"] == {"20s": 1, "30s": 1}
+    assert path.stat().st_mode & 0o777 == 0o640
+    (proof,) = (tmp_path / "office").iterdir()
+    assert json.loads(proof.read_text())["lists"] == [str(path)]
+    assert command(WHO, "--in", lab, "--out", tmp_path / "office", "--yes").code == 2
+
+
+def test_an_entry_that_an_earlier_call_left_in_the_list_of_people_goes_too(
+    lab: Path, tmp_path: Path
+) -> None:
+    forget.forget(WHO, [lab], tmp_path / "office")
+    path = people_list(lab / "P")
+    found, left, _ = forget.forget(WHO, [lab], tmp_path / "office")
+    assert found.lists == [str(path)]
+    assert left == {"by_hash": [], "by_pseudonym": []}
+    with pytest.raises(LightstageError, match="nothing of"):
+        forget.forget(WHO, [lab], tmp_path / "office")
+
+
+def test_a_list_of_people_that_is_being_made_stops_it_before_anything_goes(
+    lab: Path, tmp_path: Path
+) -> None:
+    path = people_list(lab / "P")
+    with locked(lab / "P" / "people.lock", LightstageError("held")):
+        before = names_in(lab)
+        with pytest.raises(LightstageError, match="that `lightstage-sim dataset` is making now"):
+            forget.forget(WHO, [lab], tmp_path / "office")
+    assert names_in(lab) - {f"P/p1/{RUN_LOCK}"} == before
+    assert WHO in path.read_text()
+
+
+@pytest.mark.parametrize("text", ["[1, 2]", '{"people": [{"name": "person-1"}]}', "{"])
+def test_a_list_of_people_of_another_program_is_reported_and_left_as_it_is(
+    lab: Path, tmp_path: Path, text: str
+) -> None:
+    path = lab / "P" / "people.json"
+    path.write_text(text)
+    found, left, _ = forget.forget(WHO, [lab], tmp_path / "office")
+    assert found.lists == []
+    assert path.read_text() == text
+    assert left["by_pseudonym"] == ([str(path)] if WHO in text else [])

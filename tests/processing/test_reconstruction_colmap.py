@@ -1,5 +1,7 @@
 import dataclasses
+import shutil
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pycolmap
@@ -128,3 +130,22 @@ def test_folders_that_are_none_are_refused(workspace: Path, tmp_path: Path) -> N
     with pytest.raises(FormatError):
         write_colmap(tmp_path / "other", NAMES, level, depths, [np.arange(1)] * 4)
     assert (tmp_path / "other" / "letter.txt").read_text() == "mine"
+
+
+def test_what_colmap_made_of_a_workspace_is_not_lost_with_it(
+    workspace: Path, tmp_path: Path
+) -> None:
+    _, level, depths = exact()
+    ours = Path(shutil.copytree(workspace, tmp_path / "ours"))
+    sources = pick_sources(CAMERAS, [True] * 4, CONFIG)
+    (ours / "fused.ply").write_text("ply")
+    with pytest.raises(FormatError, match=r"ours: found fused\.ply, which the command did not"):
+        write_colmap(ours, NAMES, level, depths, sources)
+    config = dataclasses.replace(CONFIG, colmap_to=str(ours))
+    with (
+        patch("processing.reconstruction.stage.match_views", side_effect=AssertionError),
+        pytest.raises(FormatError, match="fused"),
+    ):
+        reconstruct_views(exact()[0], config)
+    (ours / "fused.ply").rename(tmp_path / "fused.ply")
+    write_colmap(ours, NAMES, level, depths, sources)

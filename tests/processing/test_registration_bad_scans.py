@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from lightstage.formats.landmarks import write_points_mm
 from lightstage.formats.mesh import Mesh, write_obj
+from lightstage.formats.template import save_template
 from processing.errors import RegistrationError
 from processing.registration.config import NonrigidConfig, RegisterConfig
 from processing.registration.stage import register_mesh
@@ -106,6 +108,39 @@ def test_of_scan_and_landmarks_the_one_in_other_units_is_named(factor, off, mess
     with pytest.raises(RegistrationError, match="units") as caught:
         first_pose(Target(scan), marks, np.ones(len(marks), bool), TEMPLATE)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("factor", [0.3, 40.0])
+def test_a_scan_in_an_unknown_unit_is_named_with_its_file_and_its_landmarks(
+    tmp_path, run_command, factor
+):
+    """Neither mm nor cm nor metres, such as inches or feet."""
+    marks = write_points_mm(factor * TRUTH[TEMPLATE.landmarks], tmp_path / "L.json")
+    write_obj(Mesh(factor * SCAN.vertices, SCAN.faces), tmp_path / "scan.obj")
+    words = ("processing", "register-mesh", tmp_path / "scan.obj", "--out", tmp_path / "out.obj")
+    words = (*words, "--template", save_template(TEMPLATE, tmp_path / "T"))
+    done = run_command(*words, "--landmarks", marks)
+    assert done.code == 2
+    assert f"{marks}, landmarks, units: found a scan {factor:g}" in done.err
+    assert "expected both in mm. Scale the scan and its landmarks" in done.err
+    off = write_points_mm(TRUTH[TEMPLATE.landmarks], tmp_path / "M.json")
+    write_obj(Mesh(1000 * SCAN.vertices, SCAN.faces), tmp_path / "scan.obj")
+    done = run_command(*words, "--landmarks", off)
+    assert done.code == 2
+    assert f"{tmp_path / 'scan.obj'}, units: found a scan" in done.err
+    assert not (tmp_path / "out.obj").exists()
+
+
+@pytest.mark.parametrize("broken", ["faces", "face"])
+def test_what_no_mesh_can_be_registered_without_is_named_with_the_scans_file(
+    tmp_path, run_command, broken
+):
+    faces = SCAN.faces[:, :1].repeat(3, axis=1) if broken == "faces" else SCAN.faces
+    scan = write_obj(Mesh(SCAN.vertices * (1, 1, 0.001), faces), tmp_path / "scan.obj")
+    done = run_command("processing", "register-mesh", scan, "--out", tmp_path / "out.obj")
+    assert done.code == 2
+    field = "triangles" if broken == "faces" else "landmarks"
+    assert f"{scan}, {field}: found " in done.err
 
 
 @pytest.mark.parametrize(("factor", "name"), [(0.1, "cm"), (0.001, "metres"), (1.0, "mm")])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import shutil
 import struct
 import tarfile
 from collections.abc import Callable
@@ -17,11 +18,12 @@ import zarr
 
 from lightstage.errors import ConfigError
 from lightstage.formats.files import sha256_file
-from processing.dataset import PublishConfig, Store
+from processing.dataset import PublishConfig, Store, build_store
 from processing.dataset.release_files import CHANNELS as PUBLISHED
 from processing.dataset.release_files import FILE_TIME_S
 from tests.processing.releases import (
     ABOUT_FILE,
+    PEOPLE,
     SEED,
     SIZE,
     SMALL,
@@ -143,13 +145,20 @@ def test_a_set_that_is_there_is_replaced_as_a_whole_and_only_when_told(
     assert again.code == 2
     assert "pass --overwrite" in again.err
     assert contents(out) == first
+    (out / "LICENSE").write_text("ours")
+    refused = run_command("processing", *words, "--overwrite")
+    assert refused.code == 2
+    assert f"{out}: found LICENSE, which the command did not make" in refused.err
+    (out / "LICENSE").unlink()
+    assert contents(out) == first
     tars = run_command("processing", *words, "--format", "webdataset", "--overwrite")
     assert tars.code == 0, tars.err
     assert {path.suffix for path in out.iterdir()} == {".tar", ".json", ".md"}
     assert sorted(tmp_path.glob(".*")) == []
-    # The lab knows of both: those of the shared store that went to this place.
+    assert run_command("processing", *words, "--overwrite").code == 0
+    # The lab knows of all: those of the shared store that went to this place.
     lines = (store.path / "releases.jsonl").read_text().splitlines()
-    assert [json.loads(line)["out"] for line in lines].count(str(out)) == 2
+    assert [json.loads(line)["out"] for line in lines].count(str(out)) == 3
 
 
 def test_of_two_that_publish_to_one_place_at_once_one_is_there_whole(
@@ -218,3 +227,37 @@ def test_a_command_of_scans_does_not_speak_of_training_where_it_is_given_a_relea
 def test_a_form_that_there_is_none_of_is_refused() -> None:
     with pytest.raises(ConfigError, match="format: found 'csv', expected zarr or webdataset"):
         PublishConfig(form="csv")  # type: ignore[arg-type]
+
+
+def test_another_release_of_the_same_name_and_version_is_warned_of(
+    tmp_path: Path, make_processed: Make, run_command: Callable[..., Any]
+) -> None:
+    store = small_store(tmp_path / "lab", make_processed).path
+    words = ("dataset", "publish", store, "--patch", 16, "--json", "--about")
+
+    def warnings(about: Path, out: Path, *more: str) -> list[str]:
+        ended = run_command("processing", *words, about, "--out", out, *more)
+        assert ended.code == 0, ended.err
+        found: list[str] = json.loads(ended.out.splitlines()[-1])["warnings"]
+        assert all(f"warning: {each}" in ended.err for each in found)
+        return found
+
+    first, second = tmp_path / "1" / "PUB", tmp_path / "2" / "PUB"
+    later = tmp_path / "later.toml"
+    later.write_text(ABOUT_FILE.read_text().replace('"1.0.0"', '"2.0.0"'))
+    assert warnings(ABOUT_FILE, first) == []
+    (warning,) = warnings(ABOUT_FILE, second)
+    name = "Skin patches of simulated people"
+    assert warning.startswith(f"version 1.0.0 of {name!r} is that of {first} too")
+    assert 'such as "2.0.0"' in warning
+    assert warnings(later, second, "--overwrite") == []
+    # Of another store, in a place and beside it; and what was moved away since it was recorded.
+    other = build_store([tmp_path / "lab" / "in" / PEOPLE[0]], tmp_path / "other")
+    words = ("dataset", "publish", other, *words[3:])
+    (warning,) = warnings(later, tmp_path / "2" / "OTHER")
+    assert f"is that of {second} too" in warning
+    (warning,) = warnings(ABOUT_FILE, first, "--overwrite")
+    assert f"is that of {first} too" in warning
+    shutil.rmtree(tmp_path / "2")
+    (warning,) = warnings(later, tmp_path / "3" / "PUB")
+    assert f"is that of {tmp_path / '2' / 'OTHER'} too" in warning

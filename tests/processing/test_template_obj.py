@@ -217,6 +217,11 @@ def test_an_existing_folder_is_replaced_only_where_it_is_a_template_and_asked_fo
     refused = imported(run_command, mesh, marks, out, *words)
     assert refused.code == 2
     assert "--overwrite" in refused.err
+    (out / "letters.txt").write_text("mine")
+    refused = imported(run_command, mesh, marks, out, *words, "--overwrite")
+    assert refused.code == 2
+    assert "found letters.txt, which the command did not make" in refused.err
+    (out / "letters.txt").unlink()
     assert imported(run_command, mesh, marks, out, *words, "--overwrite").code == 0
 
 

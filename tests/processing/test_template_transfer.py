@@ -397,4 +397,9 @@ def test_wrong_input_is_one_message_and_nothing_is_left(maps, folders, tmp_path,
     again = carried(run_command, maps, folders, out, *meshes(folders))
     assert again.code == 2
     assert "--overwrite" in again.err
+    (out / "letters.txt").write_text("mine")
+    again = carried(run_command, maps, folders, out, *meshes(folders), "--overwrite")
+    assert again.code == 2
+    assert "found letters.txt, which the command did not make" in again.err
+    (out / "letters.txt").unlink()
     assert carried(run_command, maps, folders, out, *meshes(folders), "--overwrite").code == 0

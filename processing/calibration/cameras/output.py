@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.errors import FormatError
 from lightstage.formats.board import BoardConfig
 from lightstage.formats.calibration_shots import NAME as SHOTS_NAME
 from lightstage.formats.cameras import NAME, SCHEMA
 from lightstage.formats.config import make_config, require_bounds
-from lightstage.formats.files import atomic_folder, others_in, write_json
+from lightstage.formats.files import atomic_folder, write_json
 from lightstage.rig import MEASURED_WITH, UNCHECKED, UNMEASURED, rig_sha256, save_rig
 from processing.bounds import BOUNDS
 from processing.calibration.cameras.boards import see_boards
@@ -74,16 +73,8 @@ def make_cameras(
             found=", ".join(unknown),
             expected=f"cameras of this rig: {', '.join(known)}",
         )
-    others = others_in(out, [NAME, "rig.json"])
-    if others:
-        # A session's folder of calibrations has a file of this name, too.
-        raise FormatError(
-            out,
-            found=f"a folder that holds {others[0]}",
-            expected=f"a new folder, or one with rig.json and {NAME} alone",
-            hint="Choose another output folder.",
-        )
-    with atomic_folder(out, NAME, schema=SCHEMA) as folder:
+    # A session's folder of calibrations has a file of this name, too.
+    with atomic_folder(out, NAME, schema=SCHEMA, own=(NAME, "rig.json")) as folder:
         sights = see_boards(poses, config.board, progress)
         found = measure_cameras(sights, rig, config.board, config.cameras)
         more = {

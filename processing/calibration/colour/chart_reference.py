@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from lightstage.errors import FormatError
+from lightstage.formats.fields import array_of
 from lightstage.formats.files import read_json
 from lightstage.formats.srgb import linear_from_srgb
 from processing.colour_difference import colour_science
@@ -72,14 +73,14 @@ def chart_reflectance(chart: str) -> np.ndarray:
     if not path.is_file():
         raise FormatError(chart, found="no such chart", expected="classic, 2014 or a JSON file")
     try:
-        known = np.array(read_json(path, CHART_SCHEMA)["reflectance"], float)
-    except (KeyError, TypeError, ValueError):
+        known = array_of(read_json(path, CHART_SCHEMA).get("reflectance"), 24, 3)
+    except ValueError:
         known = np.zeros(0)
-    if known.shape != (24, 3) or not (np.isfinite(known) & (known > -0.2) & (known < 1.2)).all():
+    if not known.size or not ((known > -0.2) & (known < 1.2)).all():
         raise FormatError(
             path,
             field="reflectance",
-            found=f"shape {known.shape}" if known.shape != (24, 3) else "values out of range",
+            found="values out of range" if known.size else "something else",
             expected="24 times r, g, b, a perfect white 1",
         )
     return known

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import concurrent.futures
 import dataclasses
 import multiprocessing
 import os
-import time
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 from lightstage.console.album import Album, behind_is_ready
 from lightstage.console.config import ConsoleConfig
@@ -52,15 +55,50 @@ def test_a_photograph_that_is_read_for_ever_keeps_neither_others_nor_the_end_wai
     wait_until(lambda: set(multiprocessing.active_children()) <= before, "the processes' end")
 
 
-def test_a_picture_that_waits_for_others_has_its_own_time(tmp_path: Path) -> None:
-    """One process, a limit of two seconds, and work for three."""
-    album = Album(dataclasses.replace(ONE, picture_s=2.0))
-    path = tmp_path / "any.dng"
+class Made:
+    """In place of the processes: holds the work that it is given, until a test ends it."""
+
+    def __init__(self) -> None:
+        self.given: list[concurrent.futures.Future[None]] = []
+
+    def submit(self, *_: Any) -> concurrent.futures.Future[None]:
+        self.given.append(concurrent.futures.Future())
+        return self.given[-1]
+
+
+class OwnTime(asyncio.SelectorEventLoop):
+    """Its time passes where a test has it pass, however busy the machine is."""
+
+    now_s = 0.0
+
+    def time(self) -> float:
+        return self.now_s
+
+
+def test_a_picture_that_waits_for_others_has_its_own_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One process, and six pictures that take three quarters of the limit each."""
+    loop, made = OwnTime(), Made()
+
+    async def settled() -> None:
+        for _ in range(20):
+            await asyncio.sleep(0)
 
     async def all_made() -> list[object]:
-        await album._make(path, behind_is_ready)
-        waiting = [album._make(path, time.sleep, 0.5) for _ in range(6)]
-        return await asyncio.gather(*waiting, return_exceptions=True)
+        album = Album(ONE)
+        monkeypatch.setattr(album, "_executor", lambda: made)
+        work = [album._make(tmp_path / "any.dng", behind_is_ready) for _ in range(6)]
+        waiting = asyncio.gather(*work, return_exceptions=True)
+        for count in range(1, 7):
+            await settled()
+            assert len(made.given) == count
+            loop.now_s += 0.75 * ONE.picture_s
+            await settled()
+            made.given[-1].set_result(None)
+        return await waiting
 
-    assert asyncio.run(all_made()) == [None] * 6
-    album.close()
+    try:
+        assert loop.run_until_complete(all_made()) == [None] * 6
+    finally:
+        loop.close()

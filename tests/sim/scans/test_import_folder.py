@@ -168,8 +168,13 @@ def test_nothing_half_written_and_nothing_foreign_replaced(ball, tmp_path):
     assert [path.name for path in foreign.iterdir()] == ["me.jpg"]
     kept = save_subject(ball, tmp_path / "kept")
     require_free(kept)
-    (kept / "maps" / "old.exr").write_bytes(b"x")
+    (kept / "maps" / "mine.exr").write_bytes(b"x")
+    for call in (lambda: require_free(kept), lambda: save_subject(ball, kept)):
+        with pytest.raises(LightstageError, match=r"kept: found maps/mine\.exr, which"):
+            call()
+    (kept / "maps" / "mine.exr").unlink()
+    (kept / "maps" / "anisotropy.exr").write_bytes(b"x")
     save_subject(ball, kept)
-    assert not (kept / "maps" / "old.exr").exists()
+    assert not (kept / "maps" / "anisotropy.exr").exists()
     shutil.rmtree(kept)
     require_free(kept)

@@ -327,8 +327,9 @@ def test_broken_copies_name_the_file_and_what_is_wrong(tmp_path):
         load_ict(folder)
     (face / "jawOpen.obj").write_text(whole)
     for text, message in (
-        ('{"idx_to_landmark_verts": [1, 2]}', r"shape \(2,\), expected 68"),
-        ("{}", "KeyError"),
+        ('{"idx_to_landmark_verts": [1, 2]}', "found 2 entries, expected 68"),
+        ("{}", "idx_to_landmark_verts: found None, expected 68 vertex indices"),
+        (json.dumps({"idx_to_landmark_verts": [True] * 68}), r"found \[True, .*expected 68"),
         ("no json", "vertex_indices.json"),
         (json.dumps({"idx_to_landmark_verts": [99] * 68}), "vertex 99, expected indices below"),
     ):
