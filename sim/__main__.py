@@ -332,14 +332,24 @@ def gallery(
 @app.command()
 def template(
     out: Path = output_folder("--out", help="Template folder.", shared=True),
+    loops: bool = typer.Option(
+        False,
+        "--loops",
+        help="In the topology with closed loops of quads around eyes and mouth, with the people "
+        "and the detector's points of the template that is installed.",
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Write our own template: mesh, UV, landmarks, regions, modes, skin maps."""
+    from sim.head.loops_template import build_loops_template
     from sim.head.template import write_template
 
-    _require_own(out, "template.json", "mesh.obj", "modes.npz", "maps")
+    names = ["template.json", "mesh.obj", "modes.npz", "maps"]
+    if loops:
+        names += ["mediapipe468.json", "population.npz", "population_mediapipe468.json"]
+    _require_own(out, *names)
     begun = time.monotonic()
-    path = write_template(out)
+    path = write_template(out, build_loops_template() if loops else None)
     seconds = time.monotonic() - begun
     finish(f"{path}: template, {seconds:.1f} s", {"template": str(path)}, as_json)
 

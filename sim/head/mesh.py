@@ -76,14 +76,14 @@ def neutral_mesh() -> Mesh:
     other = np.empty(len(vertices), int)
     other[index.ravel()] = mirrored.ravel()
     vertices = 0.5 * (vertices + vertices[other] * (-1, 1, 1))
-    quads = _quads(index)
+    quads = grid_quads(index)
     share = _hair_share(vertices[index])
     normals = vertex_normals(vertices, Mesh(vertices, quads).triangles())
     thick = np.empty(len(vertices))
     thick[index] = HAIR_MM * share
     vertices = vertices + thick[:, None] * 0.5 * (normals + normals[other] * (-1, 1, 1))
     flat = np.arange((ROWS + 1) * (COLUMNS + 1)).reshape(ROWS + 1, COLUMNS + 1)
-    return Mesh(vertices, quads, layout().reshape(-1, 2), _quads(flat))
+    return Mesh(vertices, quads, layout().reshape(-1, 2), grid_quads(flat))
 
 
 def grid_places() -> np.ndarray:
@@ -102,7 +102,7 @@ def row_and_column(grid_uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return row.astype(np.float32), (grid_uv[..., 0] * COLUMNS).astype(np.float32)
 
 
-def _quads(index: np.ndarray) -> np.ndarray:
+def grid_quads(index: np.ndarray) -> np.ndarray:
     """Quads whose first diagonal is mirror-symmetric and starts at the slit's ends."""
     a, b = index[:-1, :-1], index[1:, :-1]
     c, d = index[1:, 1:], index[:-1, 1:]

@@ -37,16 +37,17 @@ def build_template() -> Template:
     )
 
 
-def write_template(out: Path) -> Path:
+def write_template(out: Path, template: Template | None = None) -> Path:
     """Write the template folder (docs/formats.md: template.json, mesh.obj, modes.npz, maps/).
 
     Args:
         out: folder, made where absent.
+        template: of the same UV; that of `build_template` where None.
 
     Returns:
         `out`.
     """
-    save_template(build_template(), out)
+    save_template(template or build_template(), out)
     skin = to_tile(region_share("skin") + region_share("lips"), MAP_ROWS, MAP_COLUMNS)
     write_png(out / "maps" / "skin.png", np.where(skin > 0.5, 255, 0).astype(np.uint8))
     return out
