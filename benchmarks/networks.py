@@ -29,6 +29,7 @@ import numpy as np
 
 from benchmarks.networks_lights import GROUPS, light_of, random_light
 from benchmarks.networks_people import KINDS, Who, chosen, make, simulated
+from lightstage.counting import counted
 
 if TYPE_CHECKING:
     from benchmarks.networks_guesses import Neighbours
@@ -94,17 +95,19 @@ def main() -> None:
     title += f", folds of {arguments.mesostructure.name}" if arguments.mesostructure else ""
     title += ", quick" if arguments.quick else ""
     title += ", kept apart" if arguments.unseen else ""
-    # What is measured in part is beside the whole table, not in its place.
-    chose = (
-        arguments.count,
-        arguments.rows,
-        arguments.lights,
-        arguments.people != ",".join(KINDS) or None,
-    )
-    title += ", a part" if any(value is not None for value in chose) else ""
-    for kind in dict.fromkeys(each.kind for each in lit):
+    # What is measured in part is beside the whole table, not in its place, nor in another part's.
+    kinds = list(dict.fromkeys(each.kind for each in lit))
+    chose = (arguments.count, arguments.rows, arguments.lights)
+    of_some = arguments.people != ",".join(KINDS)
+    if of_some or any(value is not None for value in chose):
+        title += f", a part, {counted(task.rows, 'row')}"
+    for kind in kinds:
         write_guesses(f"{title}: {kind}", [e for e in lit if e.kind == kind], task.rows)
-    write_others(f"{title}: other maps", lit, seconds(heads[0], task))
+    write_others(
+        f"{title}: other maps{' of ' + ', '.join(kinds) if of_some else ''}",
+        lit,
+        seconds(heads[0], task),
+    )
     write_flaws(f"{title}: textures that people have", lit)
     if arguments.sheet:
         strips = {(each.name, each.light): each.strip for each in lit if each.strip is not None}
