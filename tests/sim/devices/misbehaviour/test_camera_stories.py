@@ -165,8 +165,8 @@ def test_a_camera_that_makes_jpegs_is_refused_before_a_light_goes_on(stage):
 @pytest.mark.parametrize("name", ["wrong-iso", "drift"])
 def test_a_setting_that_drifts_is_set_back_and_its_photograph_taken_again(stage, name):
     ending = stage.capture(Fault(name, camera="cam1", at=2))
-    assert ending.happened == [name]
     assert ending.fine, ending.message
+    assert ending.happened == [name], ending.message
     assert "x+/cam1.take2" in ending.kept()
     # The first line is of this stage's fast lights, under which nobody sits.
     codes = [line["code"] for line in ending.lines("finding")]
