@@ -9,7 +9,7 @@ import typing
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from lightstage.formats.config import make_config
@@ -224,6 +224,10 @@ def test_published_parts_agree_with_the_plain_twin(
     values: list[float], combine: str, scale: float
 ) -> None:
     rgb = (np.array(values).reshape(1, 6, 3) * scale).astype(np.float32)
+    high, spread = rgb[0].max(axis=1).astype(float), np.ptp(rgb[0].astype(float), axis=1)
+    # Which of a pair is purer by less than single precision holds is nobody's to say.
+    apart = np.abs(spread[0::2] * high[1::2] - spread[1::2] * high[0::2])
+    assume(((apart == 0) | (apart > 1e-6 * scale**2)).all())
     config = make_config(
         KampourisConfig, {"combine": combine, "most_specular": 0.2 * scale}, "test"
     )
