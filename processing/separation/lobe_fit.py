@@ -66,9 +66,8 @@ def maps_by_lobe(
         zeros = np.zeros_like(normal)
         nothing = np.zeros(len(normal))
         return PixelMaps(zeros, zeros, zeros, nothing, nothing, nothing)
-    points, interface = pixels.points_mm, skin_interface()
-    if points is None:
-        points, interface = np.zeros_like(normal), BARE
+    points = pixels.places_mm
+    interface = BARE if pixels.camera is None else skin_interface()
     m = config.roughness[len(config.roughness) // 2]
     sky = no_shadows(len(rgb), lights)
     e, _ = transport(lights, points, normal, views, m, sky, interface)

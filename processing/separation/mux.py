@@ -76,18 +76,17 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
     view = views[usable].mean(axis=0) if usable.any() else np.array([0.0, 0.0, 1.0])
     wide = (config.roughness, config.roughness + 0.1)
     tables = [lobe_table(each, view, wide) for each in channels]
-    points = np.zeros_like(views) if pixels.points_mm is None else pixels.points_mm
+    points = np.ascontiguousarray(pixels.places_mm, np.float64)
     start = np.where(usable[:, None], views, 0.0)
 
     first, _ = mux_normals(rgb, far, start, config.iterations)
-    places = np.ascontiguousarray(points, np.float64)
     # One width, and the channels as a table's layers: kernels take no list.
     layers = tables[0]._replace(values=np.stack([table.values[0] for table in tables]))
     exact = np.ascontiguousarray(rgb, np.float64)
 
     def with_gloss(specular: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         normal, gap = first.copy(), np.zeros(len(rgb))
-        _descend(exact, specular, far, layers, places, views, ROUNDS, normal, gap)
+        _descend(exact, specular, far, layers, points, views, ROUNDS, normal, gap)
         return normal, gap
 
     gaps = np.stack([with_gloss(np.full(len(rgb), s))[1] for s in TRIALS])

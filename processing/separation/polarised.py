@@ -59,8 +59,7 @@ def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfi
     if camera is not None and part != "chroma" and usable.any():
         # What facets turn of the reflection passes a crossed lens: a typical skin's is taken off.
         table = lobe_table(mirror, views[usable].mean(axis=0), options.roughness)
-        points = np.zeros_like(normal) if pixels.points_mm is None else pixels.points_mm
-        leak = table_lobe(table, points, normal, views, config.roughness)[:, crossed]
+        leak = table_lobe(table, pixels.places_mm, normal, views, config.roughness)[:, crossed]
         normal, trust = solved(signal - np.float32(options.specular_prior) * leak)
     shares = None if filtered is None else filtered[cells_of(normal)]
     relief = relief_of(RELIEF, config)

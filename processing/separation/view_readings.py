@@ -40,3 +40,9 @@ class Pixels:
             return None
         centre_mm, views = self.camera.centre_mm, self.views
         return np.asarray(centre_mm - views * (views @ centre_mm)[:, None])
+
+    @property
+    def places_mm(self) -> np.ndarray:
+        """(n, 3) `points_mm`, or the sphere's centre where they are not known."""
+        points = self.points_mm
+        return np.zeros_like(self.views) if points is None else points
