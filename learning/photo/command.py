@@ -21,7 +21,7 @@ from learning.limits import configured
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
-from learning.photo.eyes import openings
+from learning.photo.eyes import openings, whites
 from learning.photo.fit import FittedHead, fit_head
 from learning.photo.grey import coloured, has_no_colour
 from learning.photo.page import write_page
@@ -139,8 +139,10 @@ def read_all(request: FitRequest, template: Template) -> tuple[list[Photograph],
     photographs = []
     for path in paths:
         file = read_photograph(path, request.film_mm)
-        points, eyes_px = marks.of(path, file, notes)
-        photographs.append(Photograph(path.name, file.rgb_linear, points, file.focal_px, eyes_px))
+        points, eyes_px, seen_whites = marks.of(path, file, notes)
+        photographs.append(
+            Photograph(path.name, file.rgb_linear, points, file.focal_px, eyes_px, seen_whites)
+        )
         if file.focal_px is None:
             notes.append(
                 f"{path.name} does not state its focal length: it was fitted, and the face's depth "
@@ -196,8 +198,10 @@ class Marks:
             weights = np.tile([1.0, 0.0, 0.0], (len(corners), 1))
             self.places = Places(corners, weights, np.zeros(len(corners)))
 
-    def of(self, path: Path, file: PhotoFile, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
-        """(p, 2) landmarks of a photograph, NaN where hidden, and `openings` of its eyes.
+    def of(
+        self, path: Path, file: PhotoFile, notes: list[str]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(p, 2) landmarks of a photograph, NaN where hidden, `openings` and `whites` of its eyes.
 
         Raises:
             MapsError: no face, no face of that number, or none in the file of landmarks, or those
@@ -209,7 +213,7 @@ class Marks:
         else:
             points = self._detected(path, rgb_linear, notes)
         marks = points if len(points) == len(IBUG_PAIRS) else ibug68(points)
-        return points[self._there], openings(rgb_linear, marks)
+        return points[self._there], openings(rgb_linear, marks), whites(rgb_linear, marks)
 
     def _stated_in(self, file: Path, path: Path) -> np.ndarray:
         for name in (path.name, path.stem):
@@ -313,6 +317,9 @@ def _facts(
         "seen_percent": float(100 * fitted.seen.mean()),
         "not_skin_percent": 100 * fitted.masked,
         "lamps": None if fitted.light is None else len(fitted.light.rgb),
+        "tone": None
+        if fitted.tone is None
+        else dataclasses.asdict(fitted.tone) | {"rgb": fitted.tone.rgb.tolist()},
         "misfit": None if np.isnan(fitted.misfit) else fitted.misfit,
         "notes": [*notes, *fitted.notes],
     }

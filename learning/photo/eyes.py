@@ -1,9 +1,12 @@
-"""Where a photograph shows the eyes open, by their whites."""
+"""Where a photograph shows the eyes open, and how bright their whites are."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
+
+from lightstage.faces.eyes import Eye, see_eye
+from processing.colour import srgb_from_linear
 
 EYES = (slice(36, 42), slice(42, 48))
 """Outlines among iBUG's 68 landmarks [Sagonas2016]."""
@@ -20,6 +23,15 @@ GROWN = 2.0
 detector's is a few millimetres off."""
 IRIS = 0.2
 """Its radius, of an eye's width."""
+FINER = 4
+"""Pixels on a pixel's side in which an eye's outlines are drawn."""
+IRIS_BORDER, LID_BORDER = 1.2, 0.08
+"""Radius of what is left out with the iris, and width of what is left out at the lids, in radii of
+the iris: the border of the iris and lashes are dark."""
+LEAST_WHITE_PX = 2.0
+"""Pixels of white at least."""
+WHITE_RANGE = 0.5, 0.9
+"""Quantiles of brightness between which a white is taken: below is shade, above are highlights."""
 OUTERMOST = 0.03
 """Share of the white's pixels that its extent leaves out on each side."""
 
@@ -48,6 +60,61 @@ def openings(rgb_linear: np.ndarray, marks: np.ndarray) -> np.ndarray:
         if opening is not None:
             found[index] = opening
     return found
+
+
+def whites(rgb_linear: np.ndarray, marks: np.ndarray) -> np.ndarray:
+    """Find how bright the whites of a face's eyes are.
+
+    Args:
+        rgb_linear: (h, w, 3).
+        marks: (68, 2) px of iBUG's landmarks, NaN where hidden.
+
+    Returns:
+        (2, 3) linear value, of the person's right and left eye: the median of the brighter half of
+        what is between the lids and beside the iris, without highlights. NaN where too little of
+        it is seen.
+    """
+    found = np.full((2, 3), np.nan)
+    shown = np.clip(np.nan_to_num(rgb_linear), 0, 1)
+    codes = np.round(255 * srgb_from_linear(shown)).astype(np.uint8)
+    for index, outline in enumerate(EYES):
+        corners = marks[outline][[0, 3] if index == 0 else [3, 0]]
+        if not np.isfinite(corners).all() or np.ptp(corners[:, 0]) < LEAST_PX:
+            continue
+        if not _inside_picture(corners, shown.shape):
+            continue
+        value = _white_of(shown, see_eye(codes, corners, index == 0))
+        if value is not None:
+            found[index] = value
+    return found
+
+
+def _inside_picture(places: np.ndarray, shape: tuple[int, ...]) -> bool:
+    """Whether (n, 2) places are in a picture of a shape."""
+    return bool((places >= 0).all() and (places < shape[1::-1]).all())
+
+
+def _white_of(rgb: np.ndarray, eye: Eye) -> np.ndarray | None:
+    """(3,) median of an eye's white, None where too little is seen."""
+    low = np.maximum(np.floor(eye.lids_px.min(axis=0)).astype(int) - 1, 0)
+    high = np.ceil(eye.lids_px.max(axis=0)).astype(int) + 2
+    part = rgb[low[1] : high[1], low[0] : high[0]].astype(np.float32)
+    if not min(part.shape[:2]):
+        return None
+    # An eye of few pixels is enlarged, so that its outlines fall between them.
+    part = cv2.resize(part, None, fx=FINER, fy=FINER, interpolation=cv2.INTER_LINEAR)
+    inside = np.zeros(part.shape[:2], np.uint8)
+    cv2.fillPoly(inside, [np.round((eye.lids_px - low) * FINER).astype(np.int32)], 1)
+    middle = np.round((eye.iris_px - low) * FINER).astype(int).tolist()
+    cv2.circle(inside, middle, round(IRIS_BORDER * eye.radius_px * FINER), 0, -1)
+    edge = 2 * round(LID_BORDER * eye.radius_px * FINER) + 1
+    inside = cv2.erode(inside, np.ones((edge, edge), np.uint8))
+    seen = part[inside > 0]
+    if len(seen) < LEAST_WHITE_PX * FINER**2:
+        return None
+    level = seen.mean(axis=1)
+    least, most = np.quantile(level, WHITE_RANGE)
+    return np.asarray(np.median(seen[(level >= least) & (level <= most)], axis=0))
 
 
 def _opening(rgb: np.ndarray, eye: np.ndarray, skin: np.ndarray) -> np.ndarray | None:

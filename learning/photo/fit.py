@@ -10,6 +10,7 @@ under the same light.
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -22,19 +23,22 @@ from learning.photo.config import FitConfig
 from learning.photo.enlarge import Enlarged, enlarged, texels_a_pixel
 from learning.photo.eye_texels import eye_texels, with_eyes
 from learning.photo.foreground import foreground
-from learning.photo.fringe import Forehead
 from learning.photo.large_texture import Enlarging, Shown, brighter, finest, rows_of_search
+from learning.photo.own_skin import PhotographedSkin
+from learning.photo.own_skin import Places as SkinPlaces
 from learning.photo.several import Joined, View, join
 from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape
 from learning.photo.skin_mask import (
-    SPREAD,
+    above_mouth,
     around_eyes,
+    beard_texels,
     features,
     hair_texels,
     in_no_light,
     no_skin,
-    spread,
+    own_hair,
 )
+from learning.photo.tone import Tone, skin_colours
 from learning.photo.unwrap import Unwrapped, unwrap, without_slivers
 from learning.relight import lit_texture, shadows_of
 from learning.render.uv import UvRaster, rasterise
@@ -43,7 +47,7 @@ from learning.whole.detail import enlarged as resized
 from learning.whole.gaps import continued
 from learning.whole.infer import infer_whole_face
 from learning.whole.light import SEARCH_SECONDS
-from learning.whole.refine import OF_TRUE_SHAPES, OwnShares
+from learning.whole.refine import OF_TRUE_SHAPES, OwnSkin
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
@@ -82,6 +86,7 @@ class FittedHead:
         misfit: root mean square of the difference between the photograph and the model under its
             light, over the seen texels, sRGB-like (natural logarithms); NaN without a light.
         masked: share of the face's texels in the first photograph that were found to be no skin.
+        tone: of the skin; None where no light was found.
         notes: what a user should know, a line each.
     """
 
@@ -94,6 +99,7 @@ class FittedHead:
     light: LightSet | None
     misfit: float
     masked: float
+    tone: Tone | None
     notes: tuple[str, ...]
 
 
@@ -142,13 +148,17 @@ def fit_head(
     texels = [_Texels(each, rows, template, shape.model.face, super_resolution) for each in looked]
     together = _together(looked, texels)
     first, camera = texels[0], shape.cameras[0]
-    hidden = first.fringe & (together.source == 0)
-    seen = together.seen & ~hidden
+    seen = together.seen
     # The light is the first photograph's. All that this one shows goes to the network, which knows
     # the outline of what one photograph shows: without the texels that others show better, the
     # tone was off.
     network_sees = together.first & first.skin
     own_eyes = _own_eyes(texels, together.source)
+    skin = PhotographedSkin(
+        SkinPlaces(first.features, own_eyes, first.hair, ~first.skin),
+        skin_colours(network),
+        photographs[0].whites,
+    )
     inferred = first.inferred(
         network,
         together.texture,
@@ -157,14 +167,7 @@ def fit_head(
         camera,
         mesostructure,
         network_sees,
-        own=OwnShares(
-            config.marks_share,
-            config.detail_share,
-            own_eyes,
-            hair=first.hair,
-            hidden=hidden,
-            normals_off=config.normals_off,
-        ),
+        own=skin,
     )
     progress(steps - 1, steps)
     notes += inferred.notes
@@ -196,6 +199,7 @@ def fit_head(
         inferred.light,
         misfit,
         looked[0].masked,
+        skin.tone,
         tuple(notes),
     )
     if config.rows != rows:
@@ -254,8 +258,7 @@ class _Looked:
         camera: of it.
         person: (h, w) bool, its pixels that show the person.
         other: (rows, columns) bool, texels that it shows and that are no skin.
-        fringe: (rows, columns) bool, hair over the forehead, which is filled with skin. Light and
-            tone are found with it: without, two of seven heads had a tone that was farther off.
+        hair: (rows, columns) bool, hair beyond where most people have it.
         masked: share of these in the face.
         found: skin and light; None where they were not asked for.
     """
@@ -266,7 +269,7 @@ class _Looked:
     camera: Camera
     person: np.ndarray
     other: np.ndarray
-    fringe: np.ndarray
+    hair: np.ndarray
     masked: float
     found: Inferred | None
 
@@ -300,8 +303,8 @@ def _look(
             expected=f"{100 * LEAST_SEEN:.0f} % or more",
             hint="Take a photograph from farther in front.",
         )
-    keep, forehead = features(template, coarse.raster), Forehead(template, coarse.raster)
-    skin, found, fringe = shown, None, nothing
+    keep, hair = coarse.features, nothing
+    skin, found = shown, None
     texture = coarse.unwrapped.texture
     settled = False
     for _ in range(rounds - 1):
@@ -311,10 +314,8 @@ def _look(
             # A hat or glasses may keep every light from explaining the photograph.
             normal = coarse.raster.normals(mesh)
             other |= in_no_light(texture, found.maps["diffuse_albedo"], normal, skin, keep)
-        if skin is shown:
-            # Later there is no hair left in it.
-            hanging = forehead.fringe(found.maps["diffuse_albedo"], shown, other)
-            fringe = spread(hanging, SPREAD) & (forehead.forehead | ~keep)
+        if coarse.hair is not None:
+            hair |= own_hair(other, coarse.hair & shown, above_mouth(template, coarse.raster))
         before, skin = skin, skin & ~other
         settled = bool((before != skin).mean() < 1e-3)
         if settled:
@@ -323,7 +324,7 @@ def _look(
         found = coarse.inferred(network, texture, skin, SEARCH_SECONDS, camera, None)
     masked = float(1 - (skin & face).sum() / max((shown & face).sum(), 1))
     return dataclasses.replace(
-        looked, other=shown & ~skin, fringe=fringe, masked=masked, found=found
+        looked, other=shown & ~skin & ~hair, hair=hair, masked=masked, found=found
     )
 
 
@@ -345,8 +346,6 @@ def _together(looked: list[_Looked], texels: list[_Texels]) -> Joined:
             model = _coarse_model(looked[0], each, each.found.light)
         # Hair is no skin, by which light and tone are found, and yet the person's.
         shown = own.skin if own.hair is None else own.skin | own.hair
-        if each is not looked[0]:
-            shown = shown & ~own.fringe
         views.append(
             View(
                 own.unwrapped.texture,
@@ -398,9 +397,12 @@ class _Texels:
             unwrap(shown.rgb_linear, self.mesh, self.raster, shown.camera, shown.person),
             features(template, self.raster),
         )
+        self.features = features(template, self.raster) | beard_texels(template, self.raster)
         self.read = ~around_eyes(template, self.raster)
         self.hair = hair_texels(template, self.raster)
-        self.skin, self.fringe = ~self._resized(looked.other), self._resized(looked.fringe)
+        if self.hair is not None:
+            self.hair |= self._resized(looked.hair)
+        self.skin = ~self._resized(looked.other)
         self.eyes: np.ndarray | None = None
         openings_px = looked.photograph.eyes_px
         if openings_px is not None and aside_deg(camera) <= MOST_ASIDE_DEG:
@@ -422,7 +424,7 @@ class _Texels:
         camera: Camera,
         mesostructure: TrainedMesostructure | None,
         network_sees: np.ndarray | None = None,
-        own: OwnShares = OF_TRUE_SHAPES,
+        own: OwnSkin = OF_TRUE_SHAPES,
     ) -> Inferred:
         """Skin and light of the texels that are shown; neither depends on the eyes' texels.
 
@@ -445,7 +447,7 @@ class _Texels:
             refine_seconds=seconds,
             mesostructure=mesostructure,
             camera_mm=camera.centre_mm,
-            largest_misfit=LARGEST_MISFIT,
+            largest_misfit=LARGEST_MISFIT if network_sees is None else math.inf,
             network_sees=self.read if network_sees is None else self.read & network_sees,
             own=own,
         )

@@ -31,6 +31,8 @@ class Photograph:
         focal_px: where the file states it.
         eyes_px: (2, 3, 2) where the eyes are open, see `learning.photo.eyes.openings`; None where
             that was not sought.
+        whites: (2, 3) linear value of the eyes' whites, see `learning.photo.eyes.whites`; None
+            where that was not sought.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Photograph:
     landmarks_px: np.ndarray
     focal_px: float | None = None
     eyes_px: np.ndarray | None = None
+    whites: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -28,6 +28,8 @@ FEATURES = ("eyes", "lips")
 """Regions of a template that may differ from the mean person as they please."""
 BROWS = slice(17, 27)
 """In iBUG's order."""
+NOSE_BASE, CHIN, EARS, MOUTH = 33, 8, (0, 16), slice(48, 68)
+BELOW_CHIN_MM = 15.0
 BROW_MM = 14.0
 NOT_SKIN_TINT = 0.35
 """The same of red or blue over green: grey cloth and walls."""
@@ -50,6 +52,36 @@ def around_eyes(template: Template, raster: UvRaster) -> np.ndarray:
     millimetres beside the person's, and highlights lie on them: without them the network is nearer.
     """
     return spread(_touched(_of_regions(template, ("eyes",)), raster), EYES_SPREAD)
+
+
+def beard_texels(template: Template, raster: UvRaster) -> np.ndarray:
+    """(rows, columns) bool, where beards grow: below the nose, in front of the ears."""
+    marks = template.mesh.vertices[template.landmarks]
+    place = raster.interpolate(template.mesh.vertices)
+    below = place[..., 1] < marks[NOSE_BASE, 1]
+    above = place[..., 1] > marks[CHIN, 1] - BELOW_CHIN_MM
+    ahead = place[..., 2] > marks[list(EARS), 2].mean()
+    return np.asarray(raster.covered & below & above & ahead)
+
+
+def above_mouth(template: Template, raster: UvRaster) -> np.ndarray:
+    """(rows, columns) bool, texels above a template's mouth."""
+    height = raster.interpolate(template.mesh.vertices)[..., 1]
+    mouth = template.mesh.vertices[template.landmarks[MOUTH], 1].max()
+    return np.asarray(raster.covered & (height > mouth))
+
+
+def own_hair(other: np.ndarray, scalp: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """(rows, columns) bool, texels without skin that reach to the scalp: a person's hairline.
+
+    Args:
+        other: (rows, columns) bool, texels that show no skin.
+        scalp: (rows, columns) bool, texels that are shown where most people have hair.
+        within: (rows, columns) bool, where such hair is sought.
+    """
+    beyond = other & within
+    _, label = cv2.connectedComponents((beyond | scalp).astype(np.uint8))
+    return np.asarray(beyond & np.isin(label, np.unique(label[scalp])))
 
 
 def hair_texels(template: Template, raster: UvRaster) -> np.ndarray | None:

@@ -36,7 +36,7 @@ from learning.whole.refine import (
     LARGEST_MISFIT,
     OF_TRUE_SHAPES,
     Answer,
-    OwnShares,
+    OwnSkin,
     Refined,
     refine,
 )
@@ -70,7 +70,7 @@ def infer_whole_face(
     camera_mm: np.ndarray | None = None,
     largest_misfit: float = LARGEST_MISFIT,
     network_sees: np.ndarray | None = None,
-    own: OwnShares = OF_TRUE_SHAPES,
+    own: OwnSkin = OF_TRUE_SHAPES,
 ) -> Inferred:
     """Infer a texture's reflectance.
 
@@ -215,6 +215,8 @@ def run_network(
     shape = (size.rows, size.columns)
     low_position = _mean_over(to_batch(raster.interpolate(mesh.vertices)), to_batch(covered), shape)
     head_from_mesh, low_position = _placed(network, low_position, head_from_mesh, named[1])
+    if network_sees is None:
+        _require_layout(network, low_position, named[1])
     photographed = covered & (texture.max(axis=2) > UNSEEN)
     seen = to_batch(photographed if network_sees is None else photographed & network_sees)
     small = _mean_over(to_batch(texture), seen, shape)
@@ -272,7 +274,6 @@ def _placed(
     offset_mm = torch.from_numpy(head_from_mesh[:, 3]).float()[:, None, None]
     here = (position_mm != 0).any(dim=1, keepdim=True)
     placed = (_turned(position_mm, head_from_mesh) + offset_mm) * here
-    _require_layout(network, placed, where)
     return head_from_mesh, placed
 
 

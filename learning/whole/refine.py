@@ -11,6 +11,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import time
+from collections.abc import Callable
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -21,10 +23,9 @@ from learning.mesostructure.evidence import Frame, frame_of, slope_of
 from learning.mesostructure.infer import TrainedMesostructure, find
 from learning.networks.whole_face import DARKEST, WholeFaceNetwork
 from learning.render.uv import UvRaster, rasterise
-from learning.whole.detail import enlarged
+from learning.whole.detail import blurred, enlarged
 from learning.whole.gaps import without_gaps
 from learning.whole.light import Light, LightFit, LitSurface
-from learning.whole.scalp import hair_share, skin_over_scalp
 from learning.whole.sides import sides_mirror
 from learning.whole.together import Explained, KnownSkin, explain
 from learning.whole.unlit import (
@@ -59,40 +60,102 @@ LARGEST_MISFIT = 1.7
 """Largest misfit of a light that explains a texture: our people's have 0.2 to 0.6, a scanned head's
 0.8 to 1.5 (refinement is nearer to the truth than the network under each of six lights), a wrong
 one's 2."""
-LEAST_HAIR = 0.01
-"""Share of the texels with hair that must be known, for all to get their colour."""
 LARGEST_ROWS = 1536
 """Light is followed at so many rows at most, and enlarged for larger textures."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TakenOut:
+    """A texture over the light that was found in it.
+
+    Attributes:
+        unlit: (rows, columns, 3) texture over its light, linear.
+        known: (rows, columns) bool, where that shows the skin.
+        lit: (rows, columns) bool, where it is lit enough to show whatever is there.
+        trust: (rows, columns) of `learning.whole.unlit.trusted`.
+        covered: (rows, columns) bool, where a surface is.
+        irradiance: (rows, columns, 3) of diffuse light.
+        low_albedo: (h, w, 3) diffuse albedo among the skins that people have.
+        shares: (h, w, L) share of each light, the ambient last, in the irradiance; 0 without a
+            surface.
+        normal: (h, w, 3) unit, head frame.
+        sides: see `learning.whole.gaps.without_gaps`.
+    """
+
+    unlit: np.ndarray
+    known: np.ndarray
+    lit: np.ndarray
+    trust: np.ndarray
+    covered: np.ndarray
+    irradiance: np.ndarray
+    low_albedo: np.ndarray
+    shares: np.ndarray
+    normal: np.ndarray
+    sides: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Own:
+    """Which part of a texture over its light is the person's own.
+
+    Attributes:
+        known: (rows, columns) bool, where it is.
+        skin: (rows, columns) bool, the part of it that is skin, in which pores and folds are found.
+        albedo: from (rows, columns, 3) texture over its light, without pores' shading, to the
+            albedo of all texels.
+        detail_share: (rows, columns) float32, part of the finest detail that is the person's, 0..1.
+        light_gain: (3,) the light's strength over the one that was found.
+    """
+
+    known: np.ndarray
+    skin: np.ndarray
+    albedo: Callable[[np.ndarray], np.ndarray]
+    detail_share: np.ndarray
+    light_gain: np.ndarray = dataclasses.field(default_factory=lambda: np.ones(3))
+
+
+class OwnSkin(Protocol):
+    """Decides which part of a texture over its light is the person's own.
+
+    Attributes:
+        normals_off: standard deviation of the shape's normals, radians along each axis. Where light
+            grazes the skin, what is over the light is trusted the less, the more they are off.
+        penumbra: standard deviation over which shadows are softened, of a texture's rows.
+    """
+
+    @property
+    def normals_off(self) -> float:
+        """See above."""
+
+    @property
+    def penumbra(self) -> float:
+        """See above."""
+
+    def own(self, taken: TakenOut) -> Own:
+        """Decide it for one texture."""
 
 
 @dataclasses.dataclass(frozen=True)
 class OwnShares:
     """Parts of what a texture over its light shows that are taken for the skin's own, 0..1.
 
-    Where the shape is not quite the person's, more of it is light that was not taken out.
-
     Attributes:
         marks: of a difference from the skins that people have, at the network's size. By true
             shapes our people and ICT's are nearest to the truth at less, the scanned head at more.
         detail: of all that is finer.
-        whole: (rows, columns) bool, texels that are the person's own as they are, such as eyes;
-            none where None.
-        hair: (rows, columns) bool, texels that have hair on most people, and whose colour differs
-            between people more than the skins' does. What is lit of them is the person's own as
-            it is, and continued among them alone; but those that show bare skin are skin (see
-            `learning.whole.scalp`). None where they are like all others.
-        hidden: (rows, columns) bool, texels of which nothing is the skin's own, such as those under
-            a fringe; none where None.
-        normals_off: standard deviation of the shape's normals, radians along each axis. Where light
-            grazes the skin, marks and detail count for less the more they are off (`trusted`).
+        normals_off: see `OwnSkin`.
+        penumbra: see `OwnSkin`.
     """
 
     marks: float = 0.4
     detail: float = 0.75
-    whole: np.ndarray | None = None
-    hair: np.ndarray | None = None
-    hidden: np.ndarray | None = None
     normals_off: float = 0.05
+    penumbra: float = 0.0
+
+    def own(self, taken: TakenOut) -> Own:
+        """Take these shares."""
+        share = (self.detail * taken.known * taken.trust).astype(np.float32)
+        return Own(taken.known, taken.known, lambda unlit: with_shares(unlit, taken, self), share)
 
 
 OF_TRUE_SHAPES = OwnShares()
@@ -121,24 +184,6 @@ class Refined:
     light: LightSet
     normals: tuple[np.ndarray, np.ndarray] | None = None
     settled: bool = True
-
-
-@dataclasses.dataclass(frozen=True)
-class Scalp:
-    """Where a person has hair.
-
-    Attributes:
-        hair_share: (rows, columns) of `learning.whole.scalp.hair_share`.
-        skin_log: (h, w, 3) natural logarithm of the skin, continued under the hair.
-    """
-
-    hair_share: np.ndarray
-    skin_log: np.ndarray
-
-    @property
-    def is_hair(self) -> np.ndarray:
-        """(rows, columns) bool, texels that are mostly hair."""
-        return self.hair_share > 0.5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,7 +216,7 @@ def refine(
     mesostructure: TrainedMesostructure | None = None,
     camera_mm: np.ndarray = CAMERA_MM,
     largest_misfit: float = LARGEST_MISFIT,
-    own: OwnShares = OF_TRUE_SHAPES,
+    own: OwnSkin = OF_TRUE_SHAPES,
 ) -> Refined | str:
     """Take the light out of a texture, beginning with a network's answer.
 
@@ -217,34 +262,42 @@ def refine(
     low_albedo = np.exp(answer.log_albedo)
     low_albedo[here] = skin.albedo(found.along)
     answer = dataclasses.replace(answer, specular=found.gloss * answer.specular)
-    followed = _Followed(mesh, raster, light, fit, here, camera_mm)
-    taken = followed.taken_out(texture, photographed, answer.specular, low_albedo, own.normals_off)
-    unlit, known, lit, trust = taken
-    scalp: Scalp | None = None
-    if own.hair is not None:
-        shown = lit if own.hidden is None else lit & ~own.hidden
-        skin_log = skin_over_scalp(low_albedo, own.hair, raster.covered)
-        scalp = Scalp(hair_share(unlit, shown, own.hair, skin_log, trust), skin_log)
-        # Black hair is no shadow, and hair of another colour not out of place.
-        known = np.where(scalp.is_hair, lit, known)
-    if own.whole is not None:
-        # A dark iris is no shadow, and has its own colour in place of the mean person's.
-        known |= own.whole & photographed
-        trust = np.where(own.whole, 1.0, trust)
-    if own.hidden is not None:
-        known &= ~own.hidden
+    followed = _Followed(mesh, raster, light, fit, here, camera_mm, own.penumbra)
+    each = fit.columns(light.lamps_mm)[0] * light.rgb.mean(axis=1)
+    shares = np.zeros((*here.shape, each.shape[1]))
+    shares[here] = each / np.maximum(each.sum(axis=1, keepdims=True), DARK_LIGHT)
+    unlit, known, lit, trust, irradiance = followed.taken_out(
+        texture, photographed, answer.specular, low_albedo, own.normals_off
+    )
+    taken = TakenOut(
+        unlit,
+        known,
+        lit,
+        trust,
+        raster.covered,
+        irradiance,
+        low_albedo,
+        shares,
+        low.normals(mesh),
+        sides_mirror(network.mean_position_mm[0].permute(1, 2, 0).numpy()),
+    )
+    skin_own = own.own(taken)
     normals = None
     if mesostructure is not None and len(texture) >= mesostructure.least_rows:
-        skin_known = known if scalp is None else known & ~scalp.is_hair
-        found_there = find(mesostructure, unlit, skin_known, followed.slope, followed.level)
+        found_there = find(mesostructure, unlit, skin_own.skin, followed.slope, followed.level)
         unlit = np.clip(unlit * np.exp(-found_there.shading), DARKEST, 1.0)
         frame = followed.frame if followed.raster is raster else _frame(mesh, raster)
         tilts = (found_there.diffuse_tilt, found_there.specular_tilt)
         normals = (frame.tilted(tilts[0]), frame.tilted(tilts[1]))
-    sides = sides_mirror(network.mean_position_mm[0].permute(1, 2, 0).numpy())
-    albedo = _with_marks(low_albedo, unlit, known, raster.covered, sides, own, trust, scalp)
-    detail_share = (own.detail * known * trust).astype(np.float32)
-    return Refined(albedo, known, detail_share, _light_set(light), normals, settled)
+    light = dataclasses.replace(light, rgb=light.rgb * skin_own.light_gain)
+    return Refined(
+        skin_own.albedo(unlit),
+        skin_own.known,
+        skin_own.detail_share,
+        _light_set(light),
+        normals,
+        settled,
+    )
 
 
 def _explained(
@@ -312,6 +365,7 @@ class _Followed:
         fit: LightFit,
         here: np.ndarray,
         camera_mm: np.ndarray,
+        penumbra: float,
     ) -> None:
         rows, columns = raster.covered.shape
         if rows > LARGEST_ROWS:
@@ -320,6 +374,8 @@ class _Followed:
         covered, self._lamps_mm = raster.covered, np.array(light.lamps_mm).reshape(-1, 3)
         surface = LitSurface(mesh, raster, camera_mm)
         self._seen = surface.seen(self._lamps_mm)
+        if penumbra > 0:
+            self._seen = _softened(self._seen, covered, penumbra * len(covered))
         given, lobes = surface.under(self._lamps_mm, fit.shininess, self._seen)
         openness = np.zeros(here.shape)
         openness[here] = fit.openness
@@ -336,18 +392,18 @@ class _Followed:
         specular: np.ndarray,
         low_albedo: np.ndarray,
         normals_off: float,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """A texture over its light, where that shows the skin, where light, and how far it is so.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Divide a texture by its light.
 
         Args:
             texture: (rows, columns, 3) linear.
             photographed: (rows, columns) bool.
             specular: (h, w) albedo.
             low_albedo: (h, w, 3) diffuse albedo found so far.
-            normals_off: see `OwnShares`.
+            normals_off: see `OwnSkin`.
 
         Returns:
-            (rows, columns, 3); (rows, columns) bool, twice; and (rows, columns) `trusted`.
+            `unlit`, `known`, `lit`, `trust` and `irradiance` of `TakenOut`.
         """
         rows, columns = photographed.shape
         covered = self.raster.covered
@@ -368,7 +424,8 @@ class _Followed:
         # The border of a shadow that the model does not have is an edge, too.
         edges |= cv2.resize(dark.astype(np.uint8), edges.shape[::-1]) > 0
         known &= ~misplaced(unlit / skin, edges, known)
-        return unlit, known, lit, trusted(texture, shine, level, slope, normals_off)
+        trust = trusted(texture, shine, level, slope, normals_off)
+        return unlit, known, lit, trust, irradiance
 
     @functools.cached_property
     def frame(self) -> Frame:
@@ -386,62 +443,60 @@ class _Followed:
         return slope_of(self.frame, position_mm, self._lamps_mm, strength, seen, self.level)
 
 
+def _softened(seen: np.ndarray, covered: np.ndarray, sigma: float) -> np.ndarray:
+    """(L, n) visibility of each lamp, with shadows whose edges are so many texels wide."""
+    weight = np.maximum(blurred(covered.astype(np.float32), sigma), 1e-3)
+    image = np.zeros(covered.shape, np.float32)
+    soft = np.empty_like(seen)
+    for lamp, visible in enumerate(seen):
+        image[covered] = visible
+        soft[lamp] = (blurred(image, sigma) / weight)[covered]
+    return soft
+
+
 def _frame(mesh: Mesh, raster: UvRaster) -> Frame:
     """Directions at each texel of a mesh."""
     position_mm = raster.interpolate(mesh.vertices)
     return frame_of(raster.normals(mesh), position_mm, raster.covered)
 
 
-def _with_marks(
-    low_albedo: np.ndarray,
-    unlit: np.ndarray,
-    known: np.ndarray,
-    covered: np.ndarray,
-    sides: bool,
-    own: OwnShares,
-    trust: np.ndarray | float,
-    scalp: Scalp | None = None,
-) -> np.ndarray:
-    """The albedo at a texture's own size.
+def with_shares(unlit: np.ndarray, taken: TakenOut, own: OwnShares) -> np.ndarray:
+    """(rows, columns, 3) the albedo at a texture's own size, by shares of what it shows.
 
     Args:
-        low_albedo: (h, w, 3) among the skins that people have.
         unlit: (rows, columns, 3) texture over its light.
-        known: (rows, columns) bool, where that shows the skin.
-        covered: (rows, columns) bool, where a surface is.
-        sides: see `without_gaps`.
-        own: what of the texture is the skin's own.
-        trust: (rows, columns) share of it that is believed, texel by texel.
-        scalp: where it is hair; None where nothing is.
+        taken: where that shows the skin, and how far it is trusted.
+        own: the shares.
     """
-    base = enlarged(np.log(low_albedo), *known.shape)
-    if scalp is not None:
-        # What most people have there, hair, is no measure of bare skin.
-        bare = 1 - scalp.hair_share[..., None]
-        base += bare * (enlarged(scalp.skin_log, *known.shape) - base)
-    beside = (np.log(unlit) - base) * np.broadcast_to(trust, known.shape)[..., None]
-    skin = known if scalp is None else known & ~scalp.is_hair
-    filled = without_gaps(beside, skin, covered, sides)
-    size = (low_albedo.shape[0], low_albedo.shape[1])
-    share = _shrunk(covered.astype(np.float32), size)
-    coarse = _shrunk(filled, size) / np.maximum(share, LEAST_COVERED)[..., None]
-    there = share > LEAST_COVERED
-    finer = filled - enlarged(coarse * there[..., None], *known.shape)
-    marks = enlarged(own.marks * _marks(coarse, there), *known.shape)
-    own_part = marks + own.detail * finer
-    if own.whole is not None:
-        own_part = np.where(own.whole[..., None], filled, own_part)
-        if sides:
-            # Of two eyes of which one alone is shown, the other is like it.
-            alike = (own.whole & known)[:, ::-1] & ~known
-            own_part = np.where(alike[..., None], filled[:, ::-1], own_part)
-    if scalp is not None and (known & scalp.is_hair).sum() > LEAST_HAIR * scalp.is_hair.sum():
-        # Its own colour is continued: as a difference it would make skin beside it glow.
-        hair = without_gaps(np.log(unlit), known & scalp.is_hair, covered, sides) - base
-        part = scalp.hair_share[..., None]
-        own_part = part * hair + (1 - part) * own_part
-    albedo: np.ndarray = np.exp(np.minimum(base + own_part, 0.0))
+    shape = taken.known.shape
+    base = enlarged(np.log(taken.low_albedo), *shape)
+    beside = (np.log(unlit) - base) * np.broadcast_to(taken.trust, shape)[..., None]
+    filled = without_gaps(beside, taken.known, taken.covered, taken.sides)
+    coarse, there = at_network_size(filled, taken.covered, taken.low_albedo.shape[:2])
+    finer = filled - enlarged(coarse, *shape)
+    marks = enlarged(own.marks * _marks(coarse, there), *shape)
+    albedo: np.ndarray = np.exp(np.minimum(base + marks + own.detail * finer, 0.0))
     return albedo
+
+
+def at_network_size(
+    image: np.ndarray, known: np.ndarray, size: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Take means of an image's known texels over larger ones.
+
+    Args:
+        image: (rows, columns, c), 0 where it is not known.
+        known: (rows, columns) bool.
+        size: h and w of the larger texels.
+
+    Returns:
+        (h, w, c) and (h, w) bool, where enough of a texel is known; 0 elsewhere.
+    """
+    shape = (size[0], size[1])
+    share = _shrunk(known.astype(np.float32), shape)
+    there = share > LEAST_COVERED
+    coarse = _shrunk(image, shape) / np.maximum(share, LEAST_COVERED)[..., None]
+    return coarse * there[..., None], there
 
 
 def _marks(beside: np.ndarray, known: np.ndarray) -> np.ndarray:

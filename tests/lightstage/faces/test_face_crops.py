@@ -81,7 +81,7 @@ def test_a_crop_shows_the_pixels_of_its_place(size_px, angle):
     v, u = np.mgrid[:192, :192] + 0.5
     local = np.stack([u, v], axis=2) - 96
     place = crop.centre_px + local * (size_px / 192) @ crop.axes()
-    shown = face_mesh._pixels(picture, crop).astype(float)[:, :, :2]
+    shown = face_mesh.resampled(picture, crop, face_mesh.SIZE_PX).astype(float)[:, :, :2]
     # The ramp's steps of 5 px are rounded down.
     assert np.abs(shown + 0.5 - place / 5).max() < 1.2
     assert abs((shown + 0.5 - place / 5).mean()) < 0.06
@@ -91,7 +91,7 @@ def test_a_crop_beside_the_picture_is_its_edge_going_on():
     picture = np.full((50, 40, 3), 77, np.uint8)
     for centre in ((-500.0, -500.0), (20.0, 900.0)):
         for size in (30.0, 3000.0):
-            assert (face_mesh._pixels(picture, Crop(np.array(centre), size, 0.3)) == 77).all()
+            assert (face_mesh.resampled(picture, Crop(np.array(centre), size, 0.3), face_mesh.SIZE_PX) == 77).all()
 
 
 def test_the_crop_of_points_holds_them_all_with_a_quarter_to_spare():

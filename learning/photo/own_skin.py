@@ -1,0 +1,232 @@
+"""The skin of a photographed person: the photograph over its light, at its own tone.
+
+The photograph is the evidence. What light explains is taken out: the light that was found, and what
+is left of it in smooth steps along the normals and in the strengths of its lamps, so that lit and
+shaded skin of one cheek agree. All else is the person's: brows, beard, lips, freckles, moles and
+wrinkles at their full strength. Smooth differences of lightness alone, which shading of a shape
+that is not quite right makes as well, are taken in part.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from learning.networks.whole_face import DARKEST
+from learning.photo.face_light import HARMONICS, harmonics
+from learning.photo.tone import GREY, SkinColours, Tone, cues_of, find_tone
+from learning.whole.detail import blurred, enlarged
+from learning.whole.gaps import without_gaps
+from learning.whole.refine import Own, TakenOut, at_network_size
+from learning.whole.scalp import hair_share, skin_over_scalp
+
+KEY_PERCENTILE = 95.0
+"""Of the irradiance on the skin that is shown: the key light's side."""
+LEAST_TEXELS = 50
+"""At the network's size, below which the light is left as it was found."""
+ALIKE_TEXELS = 40.0
+"""So many neighbouring texels of the network's size err as one."""
+PATTERN_OFF = 0.12, 0.06
+"""Standard deviations of a skin's logarithm beside the mean person's pattern: of its mean over the
+channels, and of red and blue over green."""
+HARMONICS_OFF, LAMPS_OFF, TINT_SHARE = 0.15, 0.35, 0.3
+"""Standard deviations of the logarithm of the light that was found: along the harmonics of orders 1
+and 2, in a lamp's strength, and the share of these in its tint."""
+ROUNDS = 10
+HALF_AT = 1.5
+"""Deviations at which a texel weighs a quarter [GemanMcClure1985]."""
+MARK = 0.35
+"""Difference in lightness, natural logarithm, of which half is a mark for certain: errors of light
+are smaller."""
+UNKNOWN = 3.0
+"""Standard deviation of the tone's logarithm, which is found afterwards."""
+FEATURES_BLUR = 1 / 192
+"""Standard deviation of the border between features and other skin, of a texture's rows."""
+LEAST_HAIR = 0.01
+"""Share of the texels with hair that must be known, for all to get their colour."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Places:
+    """Where what is on a person's texture.
+
+    Attributes:
+        features: (rows, columns) bool, eyes, brows, lips and where beards grow, which differ
+            between people as they please.
+        eyes: (rows, columns) bool, texels that show open eyes as they are; None for none.
+        hair: (rows, columns) bool, where most people have hair; None where it is not known.
+        other: (rows, columns) bool, texels that show something else than the person.
+    """
+
+    features: np.ndarray
+    eyes: np.ndarray | None
+    hair: np.ndarray | None
+    other: np.ndarray
+
+
+@dataclasses.dataclass
+class PhotographedSkin:
+    """Decides what of one photograph's texture is the person's own; see `OwnSkin`.
+
+    Attributes:
+        places: in the texture.
+        people: tints of people.
+        whites: (2, 3) linear value of the eyes' whites, NaN where not seen; None for none.
+        normals_off: standard deviation of the fitted shape's normals, radians along each axis.
+        penumbra: standard deviation over which shadows are softened, of a texture's rows.
+        smooth_share: part of smooth differences in lightness that is taken for the person's.
+        tone: of the skin, once it was found.
+    """
+
+    places: Places
+    people: SkinColours
+    whites: np.ndarray | None = None
+    normals_off: float = 0.15
+    penumbra: float = 1 / 160
+    smooth_share: float = 0.5
+    tone: Tone | None = None
+
+    def own(self, taken: TakenOut) -> Own:
+        """Decide it, and find the tone."""
+        places = self.places
+        shown = taken.lit & ~places.other
+        skin = taken.known & ~places.other & ~places.features
+        if places.hair is not None:
+            skin &= ~places.hair
+        left = light_left(taken, skin)
+        wide = enlarged(left, *skin.shape)
+        gain, tone_off = self._found_tone(taken, skin, wide)
+        wide -= gain
+        base = enlarged(np.log(taken.low_albedo) - tone_off, *skin.shape)
+        known = shown & (taken.known | places.features)
+        hair = np.zeros(skin.shape, np.float32)
+        if places.hair is not None:
+            skin_log = skin_over_scalp(taken.low_albedo, places.hair, taken.covered) - tone_off
+            unlit = np.clip(taken.unlit * np.exp(-wide), DARKEST, 1.0)
+            hair = hair_share(unlit, shown, places.hair, skin_log, taken.trust)
+            known = np.where(hair > 0.5, shown, known)
+            # What most people have there, hair, is no measure of bare skin.
+            base += (1 - hair)[..., None] * (enlarged(skin_log, *skin.shape) - base)
+        if places.eyes is not None:
+            known |= places.eyes & taken.lit
+
+        def albedo(unlit: np.ndarray) -> np.ndarray:
+            return self._albedo(np.log(unlit) - wide, base, known, hair, taken)
+
+        return Own(known, known & (hair <= 0.5), albedo, known.astype(np.float32), np.exp(-gain))
+
+    def _found_tone(
+        self, taken: TakenOut, skin: np.ndarray, wide: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Find the skin's tone.
+
+        Args:
+            taken: the texture over its light.
+            skin: (rows, columns) bool, texels that surely show skin.
+            wide: (rows, columns, 3) logarithm of the light that is left in it.
+
+        Returns:
+            (3,) logarithms: of the skin's tone over that of the texture over its light, and of the
+            tone of the skins that people have over it.
+        """
+        low_log = enlarged(np.log(taken.low_albedo), *skin.shape)
+        if not skin.any():
+            return np.zeros(3), np.zeros(3)
+        known = np.median(low_log[skin], axis=0)
+        unlit = np.median(np.log(taken.unlit[skin]) - wide[skin], axis=0)
+        light = taken.irradiance[skin] * np.exp(wide[skin])
+        level = light.mean(axis=1)
+        key = np.median(light[level >= np.percentile(level, KEY_PERCENTILE)], axis=0)
+        cues = cues_of(np.exp(unlit) * key, self.whites, np.exp(known))
+        self.tone = find_tone(cues, self.people)
+        return np.log(self.tone.rgb) - unlit, known - np.log(self.tone.rgb)
+
+    def _albedo(
+        self,
+        unlit_log: np.ndarray,
+        base: np.ndarray,
+        known: np.ndarray,
+        hair: np.ndarray,
+        taken: TakenOut,
+    ) -> np.ndarray:
+        """(rows, columns, 3) linear albedo of all texels.
+
+        Args:
+            unlit_log: (rows, columns, 3) the texture over its light, at the skin's tone.
+            base: (rows, columns, 3) logarithm of the skin that is expected.
+            known: (rows, columns) bool, where the texture shows the person.
+            hair: (rows, columns) share, 0..1.
+            taken: the rest of what is known.
+        """
+        covered, sides, shape = taken.covered, taken.sides, known.shape
+        is_hair = hair > 0.5
+        beside = unlit_log - base
+        own = without_gaps(beside, known & ~is_hair, covered, sides)
+        coarse, _ = at_network_size(own, covered, taken.low_albedo.shape[:2])
+        smooth = coarse.mean(axis=2)
+        mark = smooth**2 / (smooth**2 + MARK**2)
+        taken_off = (1 - self.smooth_share) * (1 - mark) * smooth
+        soft = blurred(self.places.features.astype(np.float32), FEATURES_BLUR * len(known))
+        own = own - ((1 - soft) * enlarged(taken_off, *shape))[..., None]
+        eyes = self.places.eyes
+        if eyes is not None and sides:
+            # Of two eyes of which one alone is shown, the other is like it.
+            alike = (eyes & known)[:, ::-1] & ~known
+            own = np.where(alike[..., None], own[:, ::-1], own)
+        if (known & is_hair).sum() > LEAST_HAIR * is_hair.sum():
+            # Its own colour is continued: as a difference it would make skin beside it glow.
+            strands = without_gaps(unlit_log, known & is_hair, covered, sides) - base
+            own = hair[..., None] * strands + (1 - hair[..., None]) * own
+        albedo: np.ndarray = np.exp(np.minimum(base + own, 0.0))
+        return albedo
+
+
+def light_left(taken: TakenOut, skin: np.ndarray) -> np.ndarray:
+    """Find what the light that was found left in a texture, by the skin on all its sides.
+
+    The logarithm of the texture over its light, beside the skin that is expected, is fitted by
+    harmonics of the normals [Ramamoorthi2001] and by changes of each light's strength, which what
+    is known of both keeps small. Texels that are far off, such as marks, lose their weight.
+
+    Args:
+        taken: the texture over its light.
+        skin: (rows, columns) bool, texels that surely show skin.
+
+    Returns:
+        (h, w, 3) logarithm at the network's size; zeros where too little skin is shown.
+    """
+    size = taken.low_albedo.shape[:2]
+    beside = np.where(skin[..., None], np.log(taken.unlit), 0)
+    mean, use = at_network_size(beside, skin, size)
+    surface = (taken.normal != 0).any(axis=2)
+    use &= surface
+    left = np.zeros((*size, 3))
+    if use.sum() < LEAST_TEXELS:
+        return left
+    off = mean - np.log(taken.low_albedo)
+
+    def columns(here: np.ndarray) -> np.ndarray:
+        return np.column_stack([harmonics(taken.normal[here])[0], taken.shares[here]])
+
+    basis = np.column_stack([columns(use), np.ones(use.sum())])
+    known = np.array([*[HARMONICS_OFF] * HARMONICS, *[LAMPS_OFF] * taken.shares.shape[2]])
+    found = np.empty((3, len(known)))
+    for index, term in enumerate(GREY):
+        tint = index > 0
+        spread = np.array([*(known * (TINT_SHARE if tint else 1)), UNKNOWN])
+        off_by = PATTERN_OFF[tint]
+        found[index] = _robust(basis, off[use] @ term, spread, off_by)[:-1]
+    left[surface] = (columns(surface) @ found.T) @ np.linalg.inv(GREY).T
+    return left
+
+
+def _robust(basis: np.ndarray, values: np.ndarray, spread: np.ndarray, off_by: float) -> np.ndarray:
+    """(k,) coefficients of deviations `spread` that give (n,) values by an (n, k) basis."""
+    weight = np.ones(len(values))
+    found = np.zeros(basis.shape[1])
+    for _ in range(ROUNDS):
+        weighted = basis * (weight / (off_by**2 * ALIKE_TEXELS))[:, None]
+        found = np.linalg.solve(weighted.T @ basis + np.diag(spread**-2), weighted.T @ values)
+        weight = 1 / (1 + ((values - basis @ found) / (HALF_AT * off_by)) ** 2) ** 2
+    return found
