@@ -31,7 +31,7 @@ from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.faces import detect_faces
-from lightstage.faces.schemes import FACE_MESH, IBUG, IBUG_PAIRS, ibug68, seen_points
+from lightstage.faces.schemes import FACE_MESH, IBUG, IBUG_PAIRS, INNER_LIPS, ibug68, seen_points
 from lightstage.formats.environment import write_lights
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import (
@@ -139,10 +139,7 @@ def read_all(request: FitRequest, template: Template) -> tuple[list[Photograph],
     photographs = []
     for path in paths:
         file = read_photograph(path, request.film_mm)
-        points, eyes_px, seen_whites = marks.of(path, file, notes)
-        photographs.append(
-            Photograph(path.name, file.rgb_linear, points, file.focal_px, eyes_px, seen_whites)
-        )
+        photographs.append(marks.on(path, file, notes))
         if file.focal_px is None:
             notes.append(
                 f"{path.name} does not state its focal length: it was fitted, and the face's depth "
@@ -198,22 +195,28 @@ class Marks:
             weights = np.tile([1.0, 0.0, 0.0], (len(corners), 1))
             self.places = Places(corners, weights, np.zeros(len(corners)))
 
-    def of(
-        self, path: Path, file: PhotoFile, notes: list[str]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(p, 2) landmarks of a photograph, NaN where hidden, `openings` and `whites` of its eyes.
+    def on(self, path: Path, file: PhotoFile, notes: list[str]) -> Photograph:
+        """Make a photograph of a file, with landmarks, eyes and mouth.
 
         Raises:
             MapsError: no face, no face of that number, or none in the file of landmarks, or those
                 of two photographs in one.
         """
-        rgb_linear = file.rgb_linear
+        rgb = file.rgb_linear
         if self._file is not None:
             points = file.scale * self._stated_in(self._file, path)
         else:
-            points = self._detected(path, rgb_linear, notes)
+            points = self._detected(path, rgb, notes)
         marks = points if len(points) == len(IBUG_PAIRS) else ibug68(points)
-        return points[self._there], openings(rgb_linear, marks), whites(rgb_linear, marks)
+        return Photograph(
+            path.name,
+            rgb,
+            points[self._there],
+            file.focal_px,
+            openings(rgb, marks),
+            whites(rgb, marks),
+            marks[INNER_LIPS],
+        )
 
     def _stated_in(self, file: Path, path: Path) -> np.ndarray:
         for name in (path.name, path.stem):

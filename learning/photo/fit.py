@@ -36,6 +36,7 @@ from learning.photo.skin_mask import (
     hair_texels,
     in_no_light,
     no_skin,
+    open_mouth,
     own_hair,
 )
 from learning.photo.tone import Tone, skin_colours
@@ -290,6 +291,8 @@ def _look(
     """
     mesh, camera, vertices = shape.meshes[index], shape.cameras[index], shape.model.face
     person = foreground(photograph.rgb_linear, mesh, vertices, camera)
+    if photograph.mouth_px is not None:
+        person &= ~open_mouth(photograph.mouth_px, person.shape)
     nothing = np.zeros((COARSE_ROWS, COARSE_ROWS * 2 // 3), bool)
     looked = _Looked(photograph, index, mesh, camera, person, nothing, nothing, 0.0, None)
     coarse = _Texels(looked, COARSE_ROWS, template, vertices)

@@ -39,10 +39,15 @@ HALF_AT = 1.5
 MARK = 0.35
 """Difference in lightness, natural logarithm, of which half is a mark for certain: errors of light
 are smaller."""
+SMOOTH_DOUBT, TINT_DOUBT, FINE_DOUBT = 1.0, 0.3, 0.05
+"""Variance of the error that light makes in smooth differences of lightness, in those of tint, and
+in what is finer or a feature, of the variance that `trusted` expects."""
 UNKNOWN = 3.0
 """Standard deviation of the tone's logarithm, which is found afterwards."""
 FEATURES_BLUR = 1 / 192
 """Standard deviation of the border between features and other skin, of a texture's rows."""
+TOO_BRIGHT = 0.5
+"""Natural logarithm over the skin above which a feature is light in the wrong place."""
 LEAST_HAIR = 0.01
 """Share of the texels with hair that must be known, for all to get their colour."""
 
@@ -75,7 +80,7 @@ class PhotographedSkin:
         whites: (2, 3) linear value of the eyes' whites, NaN where not seen; None for none.
         normals_off: standard deviation of the fitted shape's normals, radians along each axis.
         penumbra: standard deviation over which shadows are softened, of a texture's rows.
-        smooth_share: part of smooth differences in lightness that is taken for the person's.
+        most_lamps: that are sought.
         tone: of the skin, once it was found.
     """
 
@@ -84,7 +89,7 @@ class PhotographedSkin:
     whites: np.ndarray | None = None
     normals_off: float = 0.15
     penumbra: float = 1 / 160
-    smooth_share: float = 0.5
+    most_lamps: int = 2
     tone: Tone | None = None
 
     def own(self, taken: TakenOut) -> Own:
@@ -99,7 +104,9 @@ class PhotographedSkin:
         gain, tone_off = self._found_tone(taken, skin, wide)
         wide -= gain
         base = enlarged(np.log(taken.low_albedo) - tone_off, *skin.shape)
-        known = shown & (taken.known | places.features)
+        # A lit place that the model has in shadow is far too bright, and no brow or beard.
+        bright = (np.log(taken.unlit) - wide - base).mean(axis=2) > TOO_BRIGHT
+        known = shown & (taken.known | (places.features & ~bright))
         hair = np.zeros(skin.shape, np.float32)
         if places.hair is not None:
             skin_log = skin_over_scalp(taken.low_albedo, places.hair, taken.covered) - tone_off
@@ -163,12 +170,17 @@ class PhotographedSkin:
         is_hair = hair > 0.5
         beside = unlit_log - base
         own = without_gaps(beside, known & ~is_hair, covered, sides)
-        coarse, _ = at_network_size(own, covered, taken.low_albedo.shape[:2])
-        smooth = coarse.mean(axis=2)
-        mark = smooth**2 / (smooth**2 + MARK**2)
-        taken_off = (1 - self.smooth_share) * (1 - mark) * smooth
+        size = taken.low_albedo.shape[:2]
+        coarse, _ = at_network_size(own, covered, size)
+        trust = at_network_size(taken.trust * covered, covered, size)[0][..., None]
+        smooth = coarse.mean(axis=2, keepdims=True)
+        mark = trust * smooth**2 / (trust * smooth**2 + MARK**2)
+        parts = (smooth, SMOOTH_DOUBT), (coarse - smooth, TINT_DOUBT)
+        taken_off = sum((1 - mark) * (1 - _share(trust, doubt)) * part for part, doubt in parts)
+        # What is finer and the features are not what light and shape make.
+        fine = _share(taken.trust, FINE_DOUBT)[..., None]
         soft = blurred(self.places.features.astype(np.float32), FEATURES_BLUR * len(known))
-        own = own - ((1 - soft) * enlarged(taken_off, *shape))[..., None]
+        own = fine * (own - (1 - soft[..., None]) * enlarged(taken_off, *shape))
         eyes = self.places.eyes
         if eyes is not None and sides:
             # Of two eyes of which one alone is shown, the other is like it.
@@ -180,6 +192,17 @@ class PhotographedSkin:
             own = hair[..., None] * strands + (1 - hair[..., None]) * own
         albedo: np.ndarray = np.exp(np.minimum(base + own, 0.0))
         return albedo
+
+
+def _share(trust: np.ndarray, doubt: float) -> np.ndarray:
+    """Share of a part of the texture over its light that is believed.
+
+    Args:
+        trust: 0..1, of `learning.whole.unlit.trusted`.
+        doubt: variance of the error that light makes in this part, of that in all of it.
+    """
+    found: np.ndarray = trust / (trust + doubt * (1 - trust))
+    return found
 
 
 def light_left(taken: TakenOut, skin: np.ndarray) -> np.ndarray:

@@ -33,6 +33,7 @@ class Photograph:
             that was not sought.
         whites: (2, 3) linear value of the eyes' whites, see `learning.photo.eyes.whites`; None
             where that was not sought.
+        mouth_px: (8, 2) the inner edge of the lips, NaN where hidden; None where not sought.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Photograph:
     focal_px: float | None = None
     eyes_px: np.ndarray | None = None
     whites: np.ndarray | None = None
+    mouth_px: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -30,6 +30,8 @@ BROWS = slice(17, 27)
 """In iBUG's order."""
 NOSE_BASE, CHIN, EARS, MOUTH = 33, 8, (0, 16), slice(48, 68)
 BELOW_CHIN_MM = 15.0
+LEAST_OPEN, LIPS_BORDER = 0.06, 0.02
+"""Height of an open mouth, and width of the lips' edge that teeth shine through, of its width."""
 BROW_MM = 14.0
 NOT_SKIN_TINT = 0.35
 """The same of red or blue over green: grey cloth and walls."""
@@ -62,6 +64,26 @@ def beard_texels(template: Template, raster: UvRaster) -> np.ndarray:
     above = place[..., 1] > marks[CHIN, 1] - BELOW_CHIN_MM
     ahead = place[..., 2] > marks[list(EARS), 2].mean()
     return np.asarray(raster.covered & below & above & ahead)
+
+
+def open_mouth(lips_px: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """(h, w) bool, pixels between open lips, which show teeth and tongue.
+
+    Args:
+        lips_px: (8, 2) inner edge of the lips in iBUG's order, NaN where hidden.
+        shape: of the photograph.
+    """
+    inside = np.zeros(shape[:2], np.uint8)
+    if not np.isfinite(lips_px).all():
+        return inside > 0
+    width = np.linalg.norm(lips_px[4] - lips_px[0])
+    height = np.linalg.norm(lips_px[2] - lips_px[6])
+    if height > LEAST_OPEN * width:
+        near = np.clip(lips_px, -1, np.array(shape[1::-1]))
+        cv2.fillPoly(inside, [np.round(near).astype(np.int32)], 1)
+        border = 2 * max(1, round(LIPS_BORDER * width)) + 1
+        inside = cv2.dilate(inside, np.ones((border, border), np.uint8))
+    return inside > 0
 
 
 def above_mouth(template: Template, raster: UvRaster) -> np.ndarray:

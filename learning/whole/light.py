@@ -25,7 +25,6 @@ from lightstage.formats.mesh import Mesh
 
 DOME_MM = 1000.0 * even_directions(128)
 """Lamps all round; the light from everywhere is their mean."""
-MOST_LAMPS = 4
 NEAREST_MM, FARTHEST_MM = 500.0, 4000.0
 """Lamps are searched between these distances; a farther one looks the same."""
 FIRST_STEP, LAST_STEP = 0.25, 0.015
@@ -159,12 +158,14 @@ class Light:
 class LightFit:
     """A texture, and the search for its light."""
 
-    def __init__(self, surface: Surface, texture: np.ndarray, weight: np.ndarray) -> None:
-        """A head's n texels: (n, 3) linear texture, (n,) how much each counts.
+    def __init__(
+        self, surface: Surface, texture: np.ndarray, weight: np.ndarray, most_lamps: int = 4
+    ) -> None:
+        """A head's n texels: (n, 3) linear texture, (n,) how much each counts; lamps sought.
 
         `openness` is (n,), see `LitSurface.openness`; `shininess` of its highlights may be changed.
         """
-        self._surface = surface
+        self._surface, self._most_lamps = surface, most_lamps
         counted = weight > 0
         self._counted = slice(None) if counted.all() else counted
         # A channel after the other, and only what counts: the search solves for lamps often.
@@ -207,7 +208,7 @@ class LightFit:
         return best
 
     def _peaks(self, skin: tuple[np.ndarray, np.ndarray]) -> Lamps:
-        """Where the light of a dome of lamps is strongest, `MOST_LAMPS` places at most."""
+        """Where the light of a dome of lamps is strongest, `most_lamps` places at most."""
         around = self.openness, AMBIENT_SHINE * self.openness
         irradiance, lobe = map(np.column_stack, zip(self._dome, around, strict=True))
         rgb, _ = self._solved(skin, irradiance, lobe, steady=1e-3)
@@ -216,7 +217,7 @@ class LightFit:
         direction = DOME_MM / distance
         floor = FAINT * peaks.sum()
         found: Lamps = ()
-        while len(found) < MOST_LAMPS and peaks.max() > floor:
+        while len(found) < self._most_lamps and peaks.max() > floor:
             near = direction @ direction[peaks.argmax()] > NEIGHBOURHOOD
             toward = (peaks * near) @ direction
             place = distance * toward / np.linalg.norm(toward)

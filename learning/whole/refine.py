@@ -121,6 +121,7 @@ class OwnSkin(Protocol):
         normals_off: standard deviation of the shape's normals, radians along each axis. Where light
             grazes the skin, what is over the light is trusted the less, the more they are off.
         penumbra: standard deviation over which shadows are softened, of a texture's rows.
+        most_lamps: that are sought.
     """
 
     @property
@@ -129,6 +130,10 @@ class OwnSkin(Protocol):
 
     @property
     def penumbra(self) -> float:
+        """See above."""
+
+    @property
+    def most_lamps(self) -> int:
         """See above."""
 
     def own(self, taken: TakenOut) -> Own:
@@ -145,12 +150,14 @@ class OwnShares:
         detail: of all that is finer.
         normals_off: see `OwnSkin`.
         penumbra: see `OwnSkin`.
+        most_lamps: see `OwnSkin`.
     """
 
     marks: float = 0.4
     detail: float = 0.75
     normals_off: float = 0.05
     penumbra: float = 0.0
+    most_lamps: int = 4
 
     def own(self, taken: TakenOut) -> Own:
         """Take these shares."""
@@ -242,7 +249,7 @@ def refine(
     weight = (answer.seen & here)[here] * answer.trust[here] ** 2
     colours = answer.texture[here].astype(float)
     skin = known_skin(network, answer, here, weight)
-    fit = LightFit(LitSurface(mesh, low, camera_mm), colours, weight)
+    fit = LightFit(LitSurface(mesh, low, camera_mm), colours, weight, own.most_lamps)
     light: Light | None = None
     found = Explained(skin.answer, np.zeros((0, 3)), 1.0)
     for _ in range(ROUNDS):
@@ -485,18 +492,19 @@ def at_network_size(
     """Take means of an image's known texels over larger ones.
 
     Args:
-        image: (rows, columns, c), 0 where it is not known.
+        image: (rows, columns[, c]), 0 where it is not known.
         known: (rows, columns) bool.
         size: h and w of the larger texels.
 
     Returns:
-        (h, w, c) and (h, w) bool, where enough of a texel is known; 0 elsewhere.
+        (h, w[, c]) and (h, w) bool, where enough of a texel is known; 0 elsewhere.
     """
     shape = (size[0], size[1])
     share = _shrunk(known.astype(np.float32), shape)
     there = share > LEAST_COVERED
-    coarse = _shrunk(image, shape) / np.maximum(share, LEAST_COVERED)[..., None]
-    return coarse * there[..., None], there
+    weight = there / np.maximum(share, LEAST_COVERED)
+    coarse = _shrunk(image, shape)
+    return coarse * (weight[..., None] if coarse.ndim == 3 else weight), there
 
 
 def _marks(beside: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -28,6 +28,8 @@ IBUG_PAIRS = np.array(
 )
 """(68, 2): each of iBUG's landmarks [Sagonas2016] is the mean of these two of the 468. The jaw's
 are only near: the mesh has no points on the edge that a jaw shows to a camera."""
+INNER_LIPS = slice(60, 68)
+"""Their edge among iBUG's landmarks."""
 FACING = 0.2
 """A point whose normal makes a smaller cosine with the line of sight is hidden by the head."""
 NEIGHBOURS = 9
