@@ -13,6 +13,7 @@ import pytest
 from learning.errors import RecogniserError
 from learning.evaluation.dlib_recogniser import (
     NUMBERS,
+    POINTS,
     SAME_PERSON,
     DlibRecogniser,
     installed,
@@ -22,6 +23,7 @@ from learning.render.uv import rasterise
 from lightstage.formats.exr import read_exr
 from lightstage.formats.mesh import Mesh, read_obj
 from lightstage.formats.processed import ProcessedFolder
+from processing.dataset import read_head_pose
 from tests.learning.evaluation.called import Ended
 
 needs_dlib = pytest.mark.skipif(
@@ -38,32 +40,34 @@ def dlib_recogniser() -> DlibRecogniser:
     return found
 
 
-def picture_of(person: ProcessedFolder, gain: float = 1.0) -> np.ndarray:
-    """From in front, in even light."""
+def picture_of(root: Path, gain: float = 1.0) -> np.ndarray:
+    """A simulated person from in front, in even light."""
+    person = ProcessedFolder(root)
     albedo = read_exr(person.atlas_path("diffuse_albedo"))
     mesh: Mesh = read_obj(person.registered_mesh)
     covered = rasterise(mesh, *albedo.shape[:2]).covered
-    return portrait(gain * albedo, covered, mesh, np.eye(3, 4), DlibRecogniser.size)
+    pose = read_head_pose(person.head_pose)
+    return portrait(gain * albedo, covered, mesh, pose, DlibRecogniser.size)
 
 
 @needs_dlib
 def test_one_head_is_nearer_to_itself_in_less_light_than_to_others(
-    people: list[ProcessedFolder], dlib_recogniser: DlibRecogniser
+    strangers: list[Path], dlib_recogniser: DlibRecogniser
 ) -> None:
-    heads = [dlib_recogniser.embedding(picture_of(person)) for person in people]
-    darker = dlib_recogniser.embedding(picture_of(people[0], 0.6))
-    own, *strangers = (float(np.linalg.norm(darker - head)) for head in heads)
-    assert own < min(strangers)
+    heads = [dlib_recogniser.embedding(picture_of(person)) for person in strangers]
+    darker = dlib_recogniser.embedding(picture_of(strangers[0], 0.6))
+    own, *others = (float(np.linalg.norm(darker - head)) for head in heads)
+    assert own < min(others)
     assert own < SAME_PERSON
 
 
 @needs_dlib
 def test_our_detectors_points_align_a_face_as_dlibs_do(
-    people: list[ProcessedFolder],
+    strangers: list[Path],
     dlib_recogniser: DlibRecogniser,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    picture = picture_of(people[0])
+    picture = picture_of(strangers[0])
     theirs = dlib_recogniser.embedding(picture)
     monkeypatch.setattr(dlib_recogniser, "_aligned_by_dlib", lambda _: None)
     ours = dlib_recogniser.embedding(picture)
@@ -79,18 +83,17 @@ def test_a_picture_without_a_face_has_no_embedding(dlib_recogniser: DlibRecognis
 
 @needs_dlib
 def test_a_file_that_is_none_of_dlibs_is_named(tmp_path: Path) -> None:
-    for path in (tmp_path / "shape_predictor_5_face_landmarks.dat",):
-        path.write_bytes(b"no network")
+    (tmp_path / POINTS).write_bytes(b"no network")
     with pytest.raises(RecogniserError, match="shape_predictor_5"):
         DlibRecogniser(tmp_path)
 
 
 @needs_dlib
 def test_evaluate_finds_dlib_by_itself(
-    people: list[ProcessedFolder], evaluate: Callable[..., Ended]
+    strangers: list[Path], evaluate: Callable[..., Ended]
 ) -> None:
-    a, b = people[:2]
-    facts = evaluate(a.root, b.root, "--truth", a.root, "--truth", b.root).facts
+    a, b = strangers[:2]
+    facts = evaluate(a, b, "--truth", a, "--truth", b).facts
     assert facts["identity"] == "by dlib"
     assert facts["figures"]["identity_distance"]["mean"] == pytest.approx(0, abs=1e-6)
     assert facts["figures"]["identity_others_distance"]["mean"] > 0
