@@ -379,7 +379,9 @@ def nearest(found: list[Compared], what: str) -> str:
     for one in found:
         own = apart(one.faces[""], one.faces[what])
         rest = [apart(one.faces[""], b.faces[what]) for b in found if b.person != one.person]
-        known += int(np.isfinite(own))
+        if not rest or not np.isfinite(own):
+            continue
+        known += 1
         right += int(own < np.nanmin([np.inf, *rest]))
     return f"{right} of {known}"
 
