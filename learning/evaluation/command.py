@@ -296,7 +296,7 @@ def _measured(
     relit, faces = _relit(mine, theirs, skin, truth, pose, recogniser)
     figures |= relit
     if faces is not None and recogniser is not None:
-        figures[f"identity_{recogniser.measure}"] = alike(*faces, recogniser.measure)
+        figures[f"identity_{recogniser.measure}"] = alike(faces[0], faces[1], recogniser.measure)
     found_deg, true_deg = ita_deg(albedo[skin]), ita_deg(theirs["diffuse_albedo"][skin])
     figures["ita_error_deg"] = abs(found_deg - true_deg)
     person = maps_folder(truth).resolve()
