@@ -23,12 +23,13 @@ import numpy as np
 
 from benchmarks.avatar import LIGHTS, ROWS
 from benchmarks.avatar_photos import Case, head_of, light_for, sitter_of
+from benchmarks.likeness import camera_of
 from benchmarks.networks_lights import light_of
 from benchmarks.networks_people import KINDS, chosen
 from benchmarks.photo import in_head
 from benchmarks.photo_studio import FOCAL_PX, HEIGHT_PX, WIDTH_PX, studio_camera
 from learning.maps import load_head
-from learning.photo.command import FIT, LIGHT, MAPS, MESH, FitRequest, fit_command
+from learning.photo.command import LIGHT, MAPS, MESH, FitRequest, fit_command
 from learning.photo.picture import read_photograph
 from learning.relight import render_head, shadows_of
 from lightstage.commands import quiet
@@ -95,20 +96,7 @@ def fit_tiles(
     """The photograph, the head in its place, and the head turned; `side` in the head frame."""
     request = FitRequest((photo,), default_template_path(), out, film_mm=film_mm, rows=2 * ROWS)
     fit_command(request, quiet)
-    taken = read_json(out / FIT)["photographs"][0]
-    camera = Camera(
-        "photo",
-        "",
-        "",
-        taken["width_px"],
-        taken["height_px"],
-        taken["focal_px"],
-        taken["focal_px"],
-        taken["width_px"] / 2,
-        taken["height_px"] / 2,
-        (0.0,) * 5,
-        np.array(taken["cam_from_head"]),
-    )
+    camera = camera_of(out)
     mesh = read_obj(out / MESH)
     light = read_lights(out / LIGHT) if (out / LIGHT).is_file() else None
     place, _ = camera.project(mesh.vertices)

@@ -19,7 +19,7 @@ SUBJECTS = {
     "Dataset": ("dataset", "reidentify"),
     "Renderer": ("render_",),
     "Networks": ("networks", "paper_", "training", "upscale"),
-    "One photograph": ("avatar", "domain_light", "photo"),
+    "One photograph": ("avatar", "domain_light", "likeness", "photo"),
     "Simulated stage": ("sim_",),
 }
 """Subject to how its benchmarks' names begin; the first that fits holds a benchmark's tables."""

@@ -144,8 +144,8 @@ def evaluate(
     recogniser: Annotated[
         Path | None,
         typer.Option(
-            help="Face recogniser of your own, .onnx, by which identity is measured; it is not "
-            "measured without one."
+            help="Face recogniser of your own, .onnx, by which identity is measured; dlib's where "
+            "none is given and the extra `likeness` is installed."
         ),
     ] = None,
     recogniser_size: Annotated[
@@ -202,7 +202,12 @@ def evaluate(
             else ""
         )
         + f"skin colour {figures['ita_error_deg']['mean']:.1f} deg of ITA, identity "
-        + (f"{figures['identity_cosine']['mean']:.3f}" if recognise else facts["identity"])
+        + "".join(
+            f"{name} {figures[f'identity_{name}']['mean']:.3f} "
+            for name in ("cosine", "distance")
+            if f"identity_{name}" in figures
+        )
+        + facts["identity"]
         + f", {facts['seconds']:.1f} s",
         facts,
         as_json,

@@ -13,6 +13,7 @@ import numpy as np
 
 from learning.bootstrap import Interval, interval
 from learning.errors import MapsError
+from learning.evaluation.dlib_recogniser import DlibRecogniser, installed
 from learning.evaluation.measures import (
     albedo_measures,
     normal_measures,
@@ -20,7 +21,7 @@ from learning.evaluation.measures import (
 )
 from learning.evaluation.people import by_tone, spread
 from learning.evaluation.portrait import portrait
-from learning.evaluation.recogniser import Recogniser, RecogniserRequest
+from learning.evaluation.recogniser import COSINE, Recogniser, RecogniserRequest
 from learning.export.source import maps_folder
 from learning.maps import SHININESS, TRANSLUCENCY, TexturedHead, skin_maps_from
 from learning.photo.command import FIT
@@ -70,7 +71,8 @@ class Pair:
         person: folder of the true maps, resolved: one person's photographs have the same.
         figures: by name.
         ita_deg: typology angle, (found, true).
-        faces: (2, d) embeddings of the inferred and of the true head; None without a recogniser.
+        faces: (2, d) embeddings of the inferred and of the true head; None without a recogniser,
+            or without the true mesh where none was named.
     """
 
     name: str
@@ -97,7 +99,7 @@ def evaluate_command(
         label: whose truth it is, of `LABELS`.
         out: JSON to write; a table of the same name with .md is written beside it.
         progress: of the people.
-        recognise: by which identity is measured; it is not without one.
+        recognise: by which identity is measured; dlib's where None, if it is installed.
 
     Raises:
         LightstageError: bad input; nothing is written then.
@@ -113,7 +115,7 @@ def evaluate_command(
         )
     if out is not None:
         _require_replaceable(out)
-    recogniser = None if recognise is None else Recogniser(recognise)
+    recogniser = installed() if recognise is None else Recogniser(recognise)
     true_of = truth * len(inferred) if len(truth) == 1 else truth
     pairs: list[Pair] = []
     albedos: dict[Path, list[np.ndarray]] = {}
@@ -128,8 +130,11 @@ def evaluate_command(
     if len(albedos) < len(pairs):
         each = [agreement(found) for found in albedos.values()]
         means["agreement_db"] = interval(each[0] if one else [_mean(values) for values in each])
-    if recogniser is not None and not one:
-        means["identity_others_cosine"] = _over_people(pairs, list(others_cosine(pairs)))
+    seen = recogniser is not None and all(pair.faces is not None for pair in pairs)
+    if recogniser is not None and seen and not one:
+        means[f"identity_others_{recogniser.measure}"] = _over_people(
+            pairs, others(pairs, recogniser.measure)
+        )
     true_deg = _by_person(pairs, [pair.ita_deg[1] for pair in pairs])
     off_deg = _by_person(pairs, [pair.figures["ita_error_deg"] for pair in pairs])
     tones = by_tone([*map(_mean, true_deg)], [*map(_mean, off_deg)])
@@ -142,7 +147,7 @@ def evaluate_command(
         "ita_error_deg": {tone: error for tone, (_, error) in tones.items()},
         "ita_worst_over_best": spread(tones),
         "each": [{"name": p.name, **p.figures} for p in pairs],
-        "identity": NOT_MEASURED if recognise is None else f"by {recognise.path.name}",
+        "identity": f"by {recogniser.name}" if recogniser is not None and seen else NOT_MEASURED,
         "seconds": time.monotonic() - began,
     }
     if out is not None:
@@ -239,18 +244,22 @@ def _known(albedo: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return _resized(np.asarray((albedo > 0).all(axis=2)), size) > WHOLE
 
 
-def others_cosine(pairs: list[Pair]) -> list[float]:
-    """Of each pair, the mean cosine between its true head and the true heads of other people."""
-    true = np.array([pair.faces[1] for pair in pairs if pair.faces is not None])
-    whose = [pair.person for pair in pairs]
+def alike(one: np.ndarray, other: np.ndarray, measure: str) -> float:
+    """The cosine or the distance between two (d,) embeddings."""
+    return float(one @ other if measure == COSINE else np.linalg.norm(one - other))
+
+
+def others(pairs: list[Pair], measure: str) -> list[float]:
+    """Of each pair, the mean `alike` of its true head and the true heads of other people."""
+    true = [(pair.person, pair.faces[1]) for pair in pairs if pair.faces is not None]
     return [
-        float(np.mean([row[k] for k, person in enumerate(whose) if person != own]))
-        for own, row in zip(whose, true @ true.T, strict=True)
+        _mean([alike(mine, theirs, measure) for person, theirs in true if person != own])
+        for own, mine in true
     ]
 
 
 def _measured(
-    inferred: Path, truth: Path, recogniser: Recogniser | None
+    inferred: Path, truth: Path, recogniser: Recogniser | DlibRecogniser | None
 ) -> tuple[Pair, np.ndarray]:
     """One pair's figures, and the found albedo."""
     mine, theirs = _maps(inferred), _maps(truth)
@@ -286,8 +295,8 @@ def _measured(
     figures |= specular_measures(mine["specular_albedo"], theirs["specular_albedo"], skin)
     relit, faces = _relit(mine, theirs, skin, truth, pose, recogniser)
     figures |= relit
-    if faces is not None:
-        figures["identity_cosine"] = float(faces[0] @ faces[1])
+    if faces is not None and recogniser is not None:
+        figures[f"identity_{recogniser.measure}"] = alike(faces[0], faces[1], recogniser.measure)
     found_deg, true_deg = ita_deg(albedo[skin]), ita_deg(theirs["diffuse_albedo"][skin])
     figures["ita_error_deg"] = abs(found_deg - true_deg)
     person = maps_folder(truth).resolve()
@@ -301,7 +310,7 @@ def _relit(
     skin: np.ndarray,
     truth: Path,
     head_from_world: np.ndarray,
-    recogniser: Recogniser | None,
+    recogniser: Recogniser | DlibRecogniser | None,
 ) -> tuple[dict[str, float], np.ndarray | None]:
     """Both maps rendered on the truth's mesh under lights that nobody used.
 
@@ -318,7 +327,7 @@ def _relit(
     """
     folder = ProcessedFolder(maps_folder(truth).parent)
     if not folder.registered_mesh.exists():
-        if recogniser is not None:
+        if isinstance(recogniser, Recogniser):
             raise MapsError(
                 folder.registered_mesh,
                 found="no such file",

@@ -21,6 +21,7 @@ MOST_BYTES = 1 << 30
 SIDE_PX = (16, 1024)
 RANGES = {"signed": (-1.0, 1.0), "unit": (0.0, 1.0), "bytes": (0.0, 255.0)}
 """What black and white are to a network, by the word that names it."""
+COSINE = "cosine"
 LEAST_NUMBERS = 2
 """Least number of numbers of an embedding: the cosine of single numbers means nothing."""
 
@@ -44,8 +45,12 @@ class Recogniser:
     """A network that makes an embedding of a face's picture.
 
     Attributes:
+        name: what identity is measured by.
+        measure: of two embeddings.
         size: rows and columns of its pictures.
     """
+
+    measure = COSINE
 
     def __init__(self, request: RecogniserRequest) -> None:
         """Read the file, and try it on a ramp of grey.
@@ -55,6 +60,7 @@ class Recogniser:
             RecogniserError: no ONNX, or not a network from one picture to one embedding.
         """
         self._path = request.path
+        self.name = request.path.name
         if request.values not in RANGES:
             raise ConfigError(
                 "--recogniser-range", found=repr(request.values), expected=" or ".join(RANGES)

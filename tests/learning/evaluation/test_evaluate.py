@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from learning.bootstrap import interval
 from learning.evaluation import command
-from learning.evaluation.command import Pair, agreement, others_cosine
+from learning.evaluation.command import Pair, agreement, others
 from learning.evaluation.measures import (
     albedo_measures,
     normal_measures,
@@ -158,13 +158,14 @@ def test_photographs_of_the_same_person_count_as_one_person_however_their_truth_
     assert "over photographs of one person" in out.with_suffix(".md").read_text()
 
 
-def test_cosines_with_others_leave_a_persons_own_photographs_out() -> None:
+def test_likeness_to_others_leaves_a_persons_own_photographs_out() -> None:
     faces = np.eye(2)
     pairs = [
         Pair(name, Path(whose), {}, (0.0, 0.0), np.stack([face, face]))
         for name, whose, face in (("1", "a", faces[0]), ("2", "a", faces[0]), ("3", "b", faces[1]))
     ]
-    assert others_cosine(pairs) == [0, 0, 0]
+    assert others(pairs, "cosine") == [0, 0, 0]
+    assert others(pairs, "distance") == pytest.approx([np.sqrt(2)] * 3)
 
 
 def test_albedos_of_different_sizes_are_held_against_each_other_at_the_smaller_one() -> None:

@@ -56,8 +56,12 @@ def test_identity_is_one_for_the_same_head_and_less_for_another(
 
 
 def test_without_a_recogniser_identity_is_not_measured(
-    people: list[ProcessedFolder], tmp_path: Path, evaluate: Callable[..., Ended]
+    people: list[ProcessedFolder],
+    tmp_path: Path,
+    evaluate: Callable[..., Ended],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("learning.evaluation.command.installed", lambda: None)
     out = tmp_path / "figures.json"
     facts = evaluate(people[0].root, "--truth", people[0].root, "--out", out).facts
     assert facts["identity"] == "not measured"
