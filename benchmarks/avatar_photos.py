@@ -198,8 +198,8 @@ def code_commit() -> str:
     return git("log", "-1", "--format=%h", "--", *CODE)
 
 
-def write(kept: Path, result: Score | None) -> None:
-    """Keep a score."""
+def write(kept: Path, result: object) -> None:
+    """Keep a score, or what it is made from."""
     kept.parent.mkdir(parents=True, exist_ok=True)
     beside = kept.with_suffix(".part")
     beside.write_bytes(pickle.dumps(result))
