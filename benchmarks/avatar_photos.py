@@ -163,9 +163,9 @@ def shot(case: Case) -> Photograph:
     return photograph(sitter, light_for(case), places()[1], case.name)
 
 
-def fitted(case: Case, photographs: list[Photograph]) -> FittedHead:
-    """What `fit` makes of photographs; the first gives the texture."""
-    config = FitConfig(rows=case.rows, refine_seconds=SETTLES_SECONDS)
+def fitted(rows: int, photographs: list[Photograph]) -> FittedHead:
+    """What `fit` makes of photographs; the first gives the texture of so many rows."""
+    config = FitConfig(rows=rows, refine_seconds=SETTLES_SECONDS)
     whole, relief, larger = networks()
     return fit_head(
         photographs, template(), places()[0], whole, config, relief, super_resolution=larger
@@ -185,7 +185,7 @@ def score(case: Case) -> Score | None:
     result = None
     if np.isfinite(taken.landmarks_px).any():
         began = time.perf_counter()
-        answer = fitted(case, [taken])
+        answer = fitted(case.rows, [taken])
         result = scored_fit(case, answer, time.perf_counter() - began)
     if not any(name.endswith(".py") for name in changed()):
         write(kept, result)

@@ -18,15 +18,17 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.avatar_photos import face_of, head_of, places, write
-from benchmarks.networks_lights import light_of
-from benchmarks.networks_people import Who, chosen
+from benchmarks.networks_lights import LitPoints, light_of
+from benchmarks.networks_people import Head, Who, chosen, make
 from benchmarks.networks_scores import squared
 from benchmarks.photo_camera import Shooting, drawn, taken
+from benchmarks.photo_hair import looks_of, painted, worn
 from benchmarks.photo_studio import of_codes
 from benchmarks.reflectance_people import folder
 from learning.photo.shape_fit import Photograph
 from lightstage.formats.environment import LightSet
 from processing.tones import ita_deg, tone_of
+from sim.light.scene import Scene
 from sim.people.traits import TONES
 
 ROWS = 384
@@ -113,7 +115,9 @@ def light_to_dark(kind: str, count: int, unseen: bool) -> list[Who]:
     return found
 
 
-def cases(kind: str, count: int, seed: int, unseen: bool, each: int = 2) -> Iterator[Known]:
+def cases(
+    kind: str, count: int, seed: int, unseen: bool, each: int = 2, marked: bool = False
+) -> Iterator[Known]:
     """Photographs of people, each of them in several lights by several cameras.
 
     Args:
@@ -122,24 +126,42 @@ def cases(kind: str, count: int, seed: int, unseen: bool, each: int = 2) -> Iter
         seed: of lights and cameras.
         unseen: the half of ICT's people that is kept apart.
         each: photographs of each person.
+        marked: people have hair, beards, spots, folds, make-up and glasses, see `photo_hair`.
     """
     for who in light_to_dark(kind, count, unseen):
         for number in range(each):
-            yield known(who, seed, number)
+            yield known(who, seed, number, marked=marked)
 
 
-def known(who: Who, seed: int, number: int, rows: int = ROWS) -> Known:
-    """The photograph of this number of a person, as it was kept, or made."""
-    name = f"{who.kind}-{who.name}-{seed}-{number}"
+def known(
+    who: Who,
+    seed: int,
+    number: int,
+    rows: int = ROWS,
+    marked: bool = False,
+    light: str | None = None,
+) -> Known:
+    """A photograph of a person, as it was kept, or made.
+
+    Args:
+        who: is seen.
+        seed: of lights and cameras.
+        number: of the photograph among the person's.
+        rows: of the true maps.
+        marked: see `cases`.
+        light: of `networks_lights.GROUPS`; one of `CAMERA_LIGHTS` is drawn where None.
+    """
+    name = f"{who.kind}-{who.name}-{seed}-{number}{'-marked' * marked}"
+    name += "" if light is None else f"-{light}"
     kept = folder() / f"camera-{rendering()}" / f"{name}-{rows}.pickle"
     if kept.is_file():
         found: Known = pickle.loads(kept.read_bytes())
         return found
     rng = np.random.default_rng([seed, number, zlib.crc32(f"{who.kind}-{who.name}".encode())])
     shooting = drawn(rng)
-    light = CAMERA_LIGHTS[int(rng.integers(len(CAMERA_LIGHTS)))]
-    lights = light_of(light, int(rng.integers(2**31)))
-    head = head_of(who, rows)
+    common = CAMERA_LIGHTS[int(rng.integers(len(CAMERA_LIGHTS)))]
+    lights = light_of(light or common, int(rng.integers(2**31)))
+    head = marked_head(who, rows) if marked else head_of(who, rows)
     codes, sitter = taken(head, float(rng.normal(0, YAW_DEG)), lights, shooting)
     to_head = head.head_from_world
     inside = lights.position_mm @ to_head[:, :3].T + to_head[:, 3]
@@ -154,6 +176,15 @@ def known(who: Who, seed: int, number: int, rows: int = ROWS) -> Known:
     )
     write(kept, answer)
     return answer
+
+
+@functools.lru_cache(maxsize=1)
+def marked_head(who: Who, rows: int) -> Head:
+    """A head with its looks, and glasses in what a camera sees of it: one at a time is held."""
+    looks = looks_of(who)
+    head = make(who, rows, lambda subject: painted(subject, looks, 0))
+    scene = Scene(worn(head.lit.scene.subject, looks))
+    return dataclasses.replace(head, lit=LitPoints(scene, head.lit.points))
 
 
 @functools.cache

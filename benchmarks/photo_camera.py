@@ -195,7 +195,7 @@ def backdrop(shooting: Shooting, lights: LightSet) -> np.ndarray:
 
     def colour() -> np.ndarray:
         grey = np.exp(rng.uniform(np.log(0.04), np.log(0.6)))
-        return np.asarray(grey * np.exp(rng.normal(0, 0.25, 3)))
+        return np.asarray(grey * np.exp(rng.normal(0, 0.15, 3)))
 
     turn = rng.uniform(0, 2 * np.pi)
     share = np.clip(0.5 + np.cos(turn) * (across - 0.5) + np.sin(turn) * (down - 0.5), 0, 1)
