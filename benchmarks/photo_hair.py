@@ -285,7 +285,7 @@ def _beard(
     size = float((area.picture > 0.5).sum() * PIXEL_MM**2)
     way = (0.0, -1.2) if short else (0.0, -6.0)
     drawn = canvas.hairs(rng, area, int(size * (0.8 if short else 0.6)), way, 0.75)
-    shade = dataclasses.replace(area, picture=(0.18 if short else 0.55) * area.picture)
+    shade = dataclasses.replace(area, picture=(0.18 if short else 0.7) * area.picture)
     return np.maximum(over(shade, colour), over(drawn, (1.15 if not short else 1.0) * colour))
 
 
