@@ -170,7 +170,9 @@ def developed(linear: np.ndarray, face: np.ndarray, shooting: Shooting) -> np.nd
     value = value + shooting.sharpening * detail[..., None]
     codes = np.round(255 * np.clip(value, 0, 1)).astype(np.uint8)
     _, file = cv2.imencode(".jpg", codes[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, shooting.quality])
-    return np.ascontiguousarray(cv2.imdecode(file, cv2.IMREAD_COLOR)[..., ::-1])
+    read = cv2.imdecode(file, cv2.IMREAD_COLOR)
+    assert read is not None
+    return np.ascontiguousarray(read[..., ::-1])
 
 
 def _unclipped_srgb(linear: np.ndarray) -> np.ndarray:

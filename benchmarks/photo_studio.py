@@ -110,7 +110,7 @@ class Sitter:
         if behind is None:
             large = np.full((size[1], size[0], 3), GREY, np.float32)
         else:
-            large = cv2.resize(behind, size, interpolation=cv2.INTER_LINEAR)
+            large = np.asarray(cv2.resize(behind, size), np.float32)
         large.reshape(-1, 3)[self._surface.pixel] = self._lit.under(lights)
         return self._smaller(large)
 
