@@ -3,9 +3,11 @@
 `python -m benchmarks.avatar` photographs people who were not trained on (simulated people of
 another seed, people of ICT's model, the scanned head) under lights of the simulator, one photograph
 each, and scores what `avatar` finds over skin of the face with the weights as shipped. ``--part
-lights`` and ``--part photographs`` hold ten lights and six photographs of one person against each
-other, ``--part speed`` and ``--part export`` measure seconds and memory. Truth and new lights are
-the simulator's own rendering on the true shape: these are no figures of real people.
+camera`` has a camera between that meters, balances and curves, and people with hair, beards, spots
+and glasses: albedo and tone from the worst tone to the best, and twelve photographs of one person.
+``--part lights`` and ``--part photographs`` hold ten lights and six photographs of one person
+against each other, ``--part speed`` and ``--part export`` measure seconds and memory. Truth and new
+lights are the simulator's own rendering on the true shape: these are no figures of real people.
 
 The scanned head is Infinite, 3D Head Scan by Lee Perry-Smith, CC BY 3.0, based on a work at
 www.triplegangers.com. Its true albedo is its texture, with some shading baked in.
@@ -18,6 +20,7 @@ import itertools
 
 import numpy as np
 
+from benchmarks.avatar_camera import measure_camera
 from benchmarks.avatar_photos import AVATAR, HARMONIC, MEAN, TEXTURE, Case, Score, score
 from benchmarks.avatar_speed import SIZES, measure_export, measure_speed
 from benchmarks.networks_lights import GROUPS
@@ -42,7 +45,7 @@ VIEWS = (
 )
 """Light and the camera's place of the six photographs of one person."""
 GUESSES = (AVATAR, TEXTURE, HARMONIC, MEAN)
-PARTS = ("people", "lights", "photographs", "speed", "export")
+PARTS = ("people", "camera", "lights", "photographs", "speed", "export")
 
 
 def main() -> None:
@@ -63,6 +66,8 @@ def main() -> None:
     title += ", kept apart" if asked.unseen else ""
     if "people" in parts:
         write_people(title, chosen(kinds, asked.count, asked.unseen), asked.rows)
+    if "camera" in parts:
+        measure_camera(title, asked.unseen)
     for part in ("lights", "photographs"):
         if part in parts:
             write_agreement(title, part, chosen(kinds[:1], 1, asked.unseen), asked.rows)

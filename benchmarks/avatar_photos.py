@@ -163,9 +163,9 @@ def shot(case: Case) -> Photograph:
     return photograph(sitter, light_for(case), places()[1], case.name)
 
 
-def fitted(case: Case, photographs: list[Photograph]) -> FittedHead:
-    """What `fit` makes of photographs; the first gives the texture."""
-    config = FitConfig(rows=case.rows, refine_seconds=SETTLES_SECONDS)
+def fitted(rows: int, photographs: list[Photograph]) -> FittedHead:
+    """What `fit` makes of photographs; the first gives the texture of so many rows."""
+    config = FitConfig(rows=rows, refine_seconds=SETTLES_SECONDS)
     whole, relief, larger = networks()
     return fit_head(
         photographs, template(), places()[0], whole, config, relief, super_resolution=larger
@@ -185,7 +185,7 @@ def score(case: Case) -> Score | None:
     result = None
     if np.isfinite(taken.landmarks_px).any():
         began = time.perf_counter()
-        answer = fitted(case, [taken])
+        answer = fitted(case.rows, [taken])
         result = scored_fit(case, answer, time.perf_counter() - began)
     if not any(name.endswith(".py") for name in changed()):
         write(kept, result)
@@ -198,8 +198,8 @@ def code_commit() -> str:
     return git("log", "-1", "--format=%h", "--", *CODE)
 
 
-def write(kept: Path, result: Score | None) -> None:
-    """Keep a score."""
+def write(kept: Path, result: object) -> None:
+    """Keep a score, or what it is made from."""
     kept.parent.mkdir(parents=True, exist_ok=True)
     beside = kept.with_suffix(".part")
     beside.write_bytes(pickle.dumps(result))

@@ -8,7 +8,7 @@ one is, from its mesh and landmarks, and a texel shows the place of the true sur
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -146,15 +146,23 @@ def _captured(folder: Path) -> Iterator[Who]:
         yield Who("captured", root.name, folder=root)
 
 
-def make(who: Who, rows: int) -> Head:
-    """Make a head's maps at so many rows, a multiple of 3."""
+def make(who: Who, rows: int, change: Callable[[Subject], Subject] | None = None) -> Head:
+    """Make a head's maps at so many rows, a multiple of 3.
+
+    Args:
+        who: it is.
+        rows: of the maps.
+        change: of the maps of a subject that is no captured head, such as paint on the skin.
+    """
     if who.folder is not None:
         return _of_folder(who, who.folder, rows)
     if who.kind in ("scan", "ict"):
-        return _registered(who, *of_other_topology(who, SHARPER * rows), rows)
+        subject, kept = of_other_topology(who, SHARPER * rows)
+        return _registered(who, subject if change is None else change(subject), kept, rows)
     assert who.person is not None
     seed, traits = who.person.seed, who.person.traits
-    return _own(who, parametric_subject(who.name, seed, who.expression, rows, traits))
+    subject = parametric_subject(who.name, seed, who.expression, rows, traits)
+    return _own(who, subject if change is None else change(subject))
 
 
 def of_other_topology(who: Who, rows: int) -> tuple[Subject, np.ndarray]:

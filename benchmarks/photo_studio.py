@@ -31,16 +31,22 @@ SUPERSAMPLE = 2
 """Rays a side of a pixel."""
 
 
-def camera_at(head: Head, yaw_deg: float, scale: float = 1.0) -> Camera:
+def camera_at(head: Head, yaw_deg: float, scale: float = 1.0, focal_px: float = FOCAL_PX) -> Camera:
     """A camera that looks at a head's face from a side, its picture made smaller or larger."""
-    camera = studio_camera(head.head_from_world, yaw_deg)
+    camera = studio_camera(head.head_from_world, yaw_deg, focal_px)
     return camera if scale == 1.0 else camera.scaled(scale)
 
 
-def studio_camera(head_from_world: np.ndarray, yaw_deg: float) -> Camera:
-    """The studio's camera at a side of a head whose (3, 4) pose is given."""
+def studio_camera(
+    head_from_world: np.ndarray, yaw_deg: float, focal_px: float = FOCAL_PX
+) -> Camera:
+    """The studio's camera at a side of a head whose (3, 4) pose is given.
+
+    Another focal length stands elsewhere, so that a face has one size in all pictures.
+    """
     turn = np.radians(yaw_deg)
-    place = AIM_MM + DISTANCE_MM * np.array([np.sin(turn), 0.0, np.cos(turn)])
+    distance_mm = DISTANCE_MM * focal_px / FOCAL_PX
+    place = AIM_MM + distance_mm * np.array([np.sin(turn), 0.0, np.cos(turn)])
     from_head = look_at(place, AIM_MM)
     pose = from_head @ np.vstack([head_from_world, [0, 0, 0, 1]])
     return Camera(
@@ -49,8 +55,8 @@ def studio_camera(head_from_world: np.ndarray, yaw_deg: float) -> Camera:
         "",
         WIDTH_PX,
         HEIGHT_PX,
-        FOCAL_PX,
-        FOCAL_PX,
+        focal_px,
+        focal_px,
         WIDTH_PX / 2,
         HEIGHT_PX / 2,
         (0.0,) * 5,
@@ -61,10 +67,25 @@ def studio_camera(head_from_world: np.ndarray, yaw_deg: float) -> Camera:
 class Sitter:
     """A head before one camera; rays to lamps are cast once for all its photographs."""
 
-    def __init__(self, head: Head, yaw_deg: float, scale: float = 1.0) -> None:
-        """The head, the camera's place to its left, and the scale of the photograph's size."""
-        self.camera = camera_at(head, yaw_deg, scale)
-        self._surface = head.lit.scene.surface(self.camera.scaled(SUPERSAMPLE))
+    def __init__(
+        self,
+        head: Head,
+        yaw_deg: float,
+        scale: float = 1.0,
+        focal_px: float = FOCAL_PX,
+        supersample: int = SUPERSAMPLE,
+    ) -> None:
+        """The head, the camera's place to its left, the scale of the photograph's size, its lens.
+
+        Args:
+            head: who is seen.
+            yaw_deg: of the camera's place, to the head's left.
+            scale: of the photograph's size.
+            focal_px: of the camera before it is scaled.
+            supersample: rays a side of a pixel.
+        """
+        self.camera = camera_at(head, yaw_deg, scale, focal_px)
+        self._surface = head.lit.scene.surface(self.camera.scaled(supersample))
         seen = self._surface
         points = Points(
             seen.position,
@@ -78,14 +99,29 @@ class Sitter:
         )
         self._lit = LitPoints(head.lit.scene, points, seen.view)
 
-    def under(self, lights: LightSet) -> np.ndarray:
-        """(h, w, 3) float32 linear picture under a light, before a grey background."""
-        surface = self._surface
-        large = np.full((surface.camera.height_px * surface.camera.width_px, 3), GREY, np.float32)
-        large[surface.pixel] = self._lit.under(lights)
-        shape = (surface.camera.height_px, surface.camera.width_px, 3)
+    def under(self, lights: LightSet, behind: np.ndarray | None = None) -> np.ndarray:
+        """(h, w, 3) float32 linear picture under a light.
+
+        Args:
+            lights: in the world.
+            behind: (h, w, 3) linear background; grey where None.
+        """
+        size = (self._surface.camera.width_px, self._surface.camera.height_px)
+        if behind is None:
+            large = np.full((size[1], size[0], 3), GREY, np.float32)
+        else:
+            large = np.asarray(cv2.resize(behind, size), np.float32)
+        large.reshape(-1, 3)[self._surface.pixel] = self._lit.under(lights)
+        return self._smaller(large)
+
+    def skin(self) -> np.ndarray:
+        """(h, w) bool, where skin of the face or lips are seen."""
+        seen = self._surface.picture(self._surface.skin.astype(np.float32))
+        return np.asarray(self._smaller(seen) > 0.5)
+
+    def _smaller(self, large: np.ndarray) -> np.ndarray:
         size = (self.camera.width_px, self.camera.height_px)
-        return cv2.resize(large.reshape(shape), size, interpolation=cv2.INTER_AREA)
+        return cv2.resize(large, size, interpolation=cv2.INTER_AREA)
 
     def shot(self, lights: LightSet) -> tuple[np.ndarray, np.ndarray]:
         """(h, w, 3) uint8 as a camera stores it, and float32 linear as that is read again."""
@@ -102,8 +138,20 @@ def photograph(sitter: Sitter, lights: LightSet, there: np.ndarray, name: str) -
         there: (468,) bool, points that the template knows.
         name: of the photograph.
     """
-    codes, linear = sitter.shot(lights)
+    return of_codes(sitter.shot(lights)[0], there, name, sitter.camera.fx_px)
+
+
+def of_codes(codes: np.ndarray, there: np.ndarray, name: str, focal_px: float | None) -> Photograph:
+    """An 8-bit photograph, (h, w, 3) sRGB codes, its face found; landmarks are NaN where none is.
+
+    Args:
+        codes: of the picture.
+        there: (468,) bool, points that the template knows.
+        name: of the photograph.
+        focal_px: where the file states it.
+    """
+    linear = linear_from_srgb(codes / 255.0).astype(np.float32)
     faces = detect_faces(codes)
     points = np.full((468, 2), np.nan) if not faces else seen_points(faces[0], FACE_MESH)
     eyes_px = openings(linear, ibug68(points))
-    return Photograph(name, linear, points[there], sitter.camera.fx_px, eyes_px)
+    return Photograph(name, linear, points[there], focal_px, eyes_px)
