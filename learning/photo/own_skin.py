@@ -18,11 +18,13 @@ from learning.photo.face_light import HARMONICS, harmonics
 from learning.photo.tone import GREY, SkinColours, Tone, cues_of, find_tone
 from learning.whole.detail import blurred, enlarged
 from learning.whole.gaps import without_gaps
+from learning.whole.light import LightSearch
 from learning.whole.refine import Own, TakenOut, at_network_size
 from learning.whole.scalp import hair_share, skin_over_scalp
+from learning.whole.unlit import DARK_LIGHT
 
-KEY_PERCENTILE = 95.0
-"""Of the irradiance on the skin that is shown: the key light's side."""
+KEY_PERCENTILE = 80.0
+"""Of the irradiance on the lit half of the skin: where the key light is strongest."""
 LEAST_TEXELS = 50
 """At the network's size, below which the light is left as it was found."""
 ALIKE_TEXELS = 40.0
@@ -42,6 +44,8 @@ are smaller."""
 SMOOTH_DOUBT, TINT_DOUBT, FINE_DOUBT = 1.0, 0.3, 0.05
 """Variance of the error that light makes in smooth differences of lightness, in those of tint, and
 in what is finer or a feature, of the variance that `trusted` expects."""
+EYES_BLUR = 1 / 48
+"""Standard deviation over which the light around an eye is a mean, of a texture's rows."""
 UNKNOWN = 3.0
 """Standard deviation of the tone's logarithm, which is found afterwards."""
 FEATURES_BLUR = 1 / 192
@@ -50,6 +54,10 @@ TOO_BRIGHT = 0.5
 """Natural logarithm over the skin above which a feature is light in the wrong place."""
 LEAST_HAIR = 0.01
 """Share of the texels with hair that must be known, for all to get their colour."""
+
+
+PHOTOGRAPHED = LightSearch(most_lamps=2, half_at=0.25)
+"""The fitted shape explains less of a photograph than a true one."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +88,7 @@ class PhotographedSkin:
         whites: (2, 3) linear value of the eyes' whites, NaN where not seen; None for none.
         normals_off: standard deviation of the fitted shape's normals, radians along each axis.
         penumbra: standard deviation over which shadows are softened, of a texture's rows.
-        most_lamps: that are sought.
+        search: for the light.
         tone: of the skin, once it was found.
     """
 
@@ -89,7 +97,7 @@ class PhotographedSkin:
     whites: np.ndarray | None = None
     normals_off: float = 0.15
     penumbra: float = 1 / 160
-    most_lamps: int = 2
+    search: LightSearch = PHOTOGRAPHED
     tone: Tone | None = None
 
     def own(self, taken: TakenOut) -> Own:
@@ -117,6 +125,14 @@ class PhotographedSkin:
             base += (1 - hair)[..., None] * (enlarged(skin_log, *skin.shape) - base)
         if places.eyes is not None:
             known |= places.eyes & taken.lit
+            # Eyes are taken as they are in the photograph, and lit as the skin around them is.
+            sigma = EYES_BLUR * len(skin)
+            weight = np.maximum(blurred(skin.astype(np.float32), sigma), 1e-3)[..., None]
+            around = blurred((taken.irradiance * skin[..., None]).astype(np.float32), sigma)
+            here = np.log(
+                np.maximum(around / weight, DARK_LIGHT) / np.maximum(taken.irradiance, DARK_LIGHT)
+            )
+            wide = np.where(places.eyes[..., None], wide + here, wide)
 
         def albedo(unlit: np.ndarray) -> np.ndarray:
             return self._albedo(np.log(unlit) - wide, base, known, hair, taken)
@@ -140,12 +156,16 @@ class PhotographedSkin:
         low_log = enlarged(np.log(taken.low_albedo), *skin.shape)
         if not skin.any():
             return np.zeros(3), np.zeros(3)
+        light = taken.irradiance * np.exp(wide)
+        level = light.mean(axis=2)
+        # The lit side shows the tone; what light hardly reaches shows the light's errors.
+        skin = skin & (level >= np.median(level[skin]))
         known = np.median(low_log[skin], axis=0)
-        unlit = np.median(np.log(taken.unlit[skin]) - wide[skin], axis=0)
-        light = taken.irradiance[skin] * np.exp(wide[skin])
-        level = light.mean(axis=1)
-        key = np.median(light[level >= np.percentile(level, KEY_PERCENTILE)], axis=0)
-        cues = cues_of(np.exp(unlit) * key, self.whites, np.exp(known))
+        unlit_log = np.log(taken.unlit) - wide
+        unlit = np.median(unlit_log[skin], axis=0)
+        key = skin & (level >= np.percentile(level[skin], KEY_PERCENTILE))
+        shown = np.exp(np.median(unlit_log[key] + np.log(light[key]), axis=0))
+        cues = cues_of(shown, self.whites, np.exp(known))
         self.tone = find_tone(cues, self.people)
         return np.log(self.tone.rgb) - unlit, known - np.log(self.tone.rgb)
 

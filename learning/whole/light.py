@@ -35,8 +35,6 @@ NEIGHBOURHOOD = 0.8
 """Cosine within which lamps of the dome are taken for one."""
 FAINT = 0.02
 """Share of the dome's light below which no lamp is sought."""
-HALF_AT = 0.1
-"""Deviation in natural logarithms at which a texel weighs half in the misfit."""
 DARK = 0.05
 """Added to a texture's value before errors are weighed by it: dark texels are mostly noise."""
 ROBUST_ROUNDS = 4
@@ -54,6 +52,22 @@ machine: what is found does not depend on how busy a machine is that is not ten 
 
 Lamps = tuple[tuple[float, float, float], ...]
 """Places of lamps, mm, head frame."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LightSearch:
+    """How the light of a texture is sought.
+
+    Attributes:
+        most_lamps: beside light from everywhere.
+        half_at: deviation in natural logarithms at which a texel weighs half in the misfit.
+    """
+
+    most_lamps: int = 4
+    half_at: float = 0.1
+
+
+SEARCH = LightSearch()
 
 
 class Surface(Protocol):
@@ -147,7 +161,7 @@ class Light:
         lamps_mm: places of the lamps, head frame.
         rgb: (L + 1, 3) of the lamps and, last, of the light from everywhere; units as
             `learning.render.environments`.
-        misfit: 0 where all texels fit; a texel that is off by `HALF_AT` adds log 2.
+        misfit: 0 where all texels fit; a texel that is off by `half_at` adds log 2.
     """
 
     lamps_mm: Lamps
@@ -159,13 +173,17 @@ class LightFit:
     """A texture, and the search for its light."""
 
     def __init__(
-        self, surface: Surface, texture: np.ndarray, weight: np.ndarray, most_lamps: int = 4
+        self,
+        surface: Surface,
+        texture: np.ndarray,
+        weight: np.ndarray,
+        search: LightSearch = SEARCH,
     ) -> None:
         """A head's n texels: (n, 3) linear texture, (n,) how much each counts; lamps sought.
 
         `openness` is (n,), see `LitSurface.openness`; `shininess` of its highlights may be changed.
         """
-        self._surface, self._most_lamps = surface, most_lamps
+        self._surface, self._search = surface, search
         counted = weight > 0
         self._counted = slice(None) if counted.all() else counted
         # A channel after the other, and only what counts: the search solves for lamps often.
@@ -217,7 +235,7 @@ class LightFit:
         direction = DOME_MM / distance
         floor = FAINT * peaks.sum()
         found: Lamps = ()
-        while len(found) < self._most_lamps and peaks.max() > floor:
+        while len(found) < self._search.most_lamps and peaks.max() > floor:
             near = direction @ direction[peaks.argmax()] > NEIGHBOURHOOD
             toward = (peaks * near) @ direction
             place = distance * toward / np.linalg.norm(toward)
@@ -286,7 +304,9 @@ class LightFit:
             middle = float(np.median(off)) if off.size else 0.0
             weight = self._weight / (1 + (off / max(1.5 * 1.4826 * middle, 0.05)) ** 2)
         total = max(float(self._weight.sum()), 1e-9)
-        return rgb.T, float((self._weight * np.log1p((off / HALF_AT) ** 2)).sum() / total)
+        return rgb.T, float(
+            (self._weight * np.log1p((off / self._search.half_at) ** 2)).sum() / total
+        )
 
 
 def _steady_nnls(

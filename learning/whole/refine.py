@@ -25,7 +25,7 @@ from learning.networks.whole_face import DARKEST, WholeFaceNetwork
 from learning.render.uv import UvRaster, rasterise
 from learning.whole.detail import blurred, enlarged
 from learning.whole.gaps import without_gaps
-from learning.whole.light import Light, LightFit, LitSurface
+from learning.whole.light import SEARCH, Light, LightFit, LightSearch, LitSurface
 from learning.whole.sides import sides_mirror
 from learning.whole.together import Explained, KnownSkin, explain
 from learning.whole.unlit import (
@@ -121,7 +121,7 @@ class OwnSkin(Protocol):
         normals_off: standard deviation of the shape's normals, radians along each axis. Where light
             grazes the skin, what is over the light is trusted the less, the more they are off.
         penumbra: standard deviation over which shadows are softened, of a texture's rows.
-        most_lamps: that are sought.
+        search: for the light.
     """
 
     @property
@@ -133,7 +133,7 @@ class OwnSkin(Protocol):
         """See above."""
 
     @property
-    def most_lamps(self) -> int:
+    def search(self) -> LightSearch:
         """See above."""
 
     def own(self, taken: TakenOut) -> Own:
@@ -150,14 +150,14 @@ class OwnShares:
         detail: of all that is finer.
         normals_off: see `OwnSkin`.
         penumbra: see `OwnSkin`.
-        most_lamps: see `OwnSkin`.
+        search: see `OwnSkin`.
     """
 
     marks: float = 0.4
     detail: float = 0.75
     normals_off: float = 0.05
     penumbra: float = 0.0
-    most_lamps: int = 4
+    search: LightSearch = SEARCH
 
     def own(self, taken: TakenOut) -> Own:
         """Take these shares."""
@@ -249,7 +249,7 @@ def refine(
     weight = (answer.seen & here)[here] * answer.trust[here] ** 2
     colours = answer.texture[here].astype(float)
     skin = known_skin(network, answer, here, weight)
-    fit = LightFit(LitSurface(mesh, low, camera_mm), colours, weight, own.most_lamps)
+    fit = LightFit(LitSurface(mesh, low, camera_mm), colours, weight, own.search)
     light: Light | None = None
     found = Explained(skin.answer, np.zeros((0, 3)), 1.0)
     for _ in range(ROUNDS):
