@@ -32,6 +32,7 @@ from learning.photo.command import FIT, LIGHT, MAPS, MESH, FitRequest, fit_comma
 from learning.photo.picture import read_photograph
 from learning.relight import render_head, shadows_of
 from lightstage.commands import quiet
+from lightstage.exif import film_focal_px
 from lightstage.formats.environment import LightSet, read_lights
 from lightstage.formats.files import read_json
 from lightstage.formats.mesh import Mesh, read_obj
@@ -48,7 +49,7 @@ SIDE = "hard-oblique"
 ACROSS = 2
 """Heads in a row of the picture."""
 GREY = 0.25
-FILM_MM = 36.0 * FOCAL_PX / max(WIDTH_PX, HEIGHT_PX)
+FILM_MM = FOCAL_PX / film_focal_px(1.0, WIDTH_PX, HEIGHT_PX)
 AROUND = 0.08
 """Margin around a head in its photograph, of its size."""
 

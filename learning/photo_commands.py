@@ -54,7 +54,8 @@ FilmOption = Annotated[
     float | None,
     typer.Option(
         "--focal-35mm",
-        help="Focal length of the lens as on 35 mm film, mm, in place of what the files state.",
+        help="35 mm equivalent of the focal length, mm, by the diagonal, in place of what the files "
+        "state.",
     ),
 ]
 FitRowsOption = Annotated[

@@ -201,20 +201,16 @@ def test_two_photographs_of_one_name_do_not_share_landmarks(tmp_path: Path) -> N
         marks.of(second, read_photograph(second), [])
 
 
-@pytest.mark.parametrize(
-    ("exif", "share"),
-    [
-        (Exif(focal_mm=50.0, focal_plane_px_per_mm=100.0, longer_px=3600), 50 / 36),
-        (Exif(focal_mm=50.0, focal_plane_px_per_mm=100.0), None),
-        (Exif(focal_35mm_mm=72.0), 2.0),
-        (Exif(focal_mm=50.0), None),
-    ],
-)
-def test_a_focal_length_is_that_of_the_camera_though_a_program_shrank_the_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, exif: Exif, share: float | None
+def test_the_focal_length_that_a_file_states_is_in_the_pixels_that_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "photo.png"
     cv2.imwrite(str(path), picture())
-    monkeypatch.setattr(reading, "read_exif", lambda _: exif)
-    found = read_photograph(path).focal_px
-    assert found == (None if share is None else pytest.approx(share * (SIZE + 10)))
+    monkeypatch.setattr(reading, "read_exif", lambda _: Exif(focal_35mm_mm=72.0))
+    monkeypatch.setattr(reading, "LARGEST_PX", SIZE // 2)
+    file = read_photograph(path)
+    height, width = cv2.imread(str(path)).shape[:2]
+    assert file.scale == SIZE // 2 / max(height, width)
+    share = 72 / np.hypot(36, 24)
+    assert file.focal_px == pytest.approx(share * np.hypot(height, width) * file.scale)
+    assert read_photograph(path, 36.0).focal_px == pytest.approx(file.focal_px / 2)

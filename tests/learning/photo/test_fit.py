@@ -23,6 +23,7 @@ from learning.photo.shape_fit import Places, detector_places
 from learning.photo.unwrap import unwrap
 from learning.render.uv import rasterise
 from lightstage.commands import quiet
+from lightstage.exif import FILM_DIAGONAL_MM
 from lightstage.formats.environment import read_lights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import others_below, write_json
@@ -31,11 +32,11 @@ from lightstage.formats.mesh import read_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import Template, default_template_path, save_template
 from tests.learning.export.called import printed, refusal
-from tests.learning.photo.scene import FOCAL_PX, HEIGHT_PX, KEY, Shot
+from tests.learning.photo.scene import FOCAL_PX, HEIGHT_PX, KEY, WIDTH_PX, Shot
 from tests.programs import run_program
 
 ROWS = 192
-FILM_MM = 36 * FOCAL_PX / HEIGHT_PX
+FILM_MM = FILM_DIAGONAL_MM * FOCAL_PX / np.hypot(WIDTH_PX, HEIGHT_PX)
 
 
 def called(*words: str | Path) -> tuple[int, dict[str, Any]]:
