@@ -55,7 +55,7 @@ def write_avatar_page(path: Path, parts: Sequence[str], maps: Path | None = None
     if maps is None:
         fit = read_json(out / "fit" / "fit.json")
         of = ", ".join(photograph["name"] for photograph in fit["photographs"])
-        notes, mesh = fit["notes"], out / "fit" / "registered_mesh.obj"
+        notes, mesh = fit["notes"], ProcessedFolder(out / "fit").neutral_mesh
     else:
         of, notes = f"the captured head {maps.name}", []
         mesh = ProcessedFolder(maps_folder(maps).parent).registered_mesh

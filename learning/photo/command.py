@@ -17,6 +17,7 @@ from learning.checkpoint import (
     whole_face_of,
 )
 from learning.errors import MapsError
+from learning.export.morphs import morph_names
 from learning.limits import configured
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
@@ -294,7 +295,11 @@ def _facts(
             "cam_from_head": camera.cam_from_world.tolist(),
             "landmark_px": found.residual_px,
             "landmarks_used": float((found.used > 0.25).mean()),
-            "expression": dict(zip(names, found.expression.tolist(), strict=True)),
+            "expression": {
+                name: weight
+                for own, weight in zip(names, found.expression.tolist(), strict=True)
+                for name in morph_names(own) or (own,)
+            },
             "texture_percent": float(100 * (fitted.source == index).mean()),
         }
         for index, (photograph, camera, found) in enumerate(
