@@ -197,7 +197,7 @@ def _made_of(
     parts = [stage for stage in stages if not made.get(stage, FLAT).startswith(FLAT)]
     if not _is_newer(out / PAGE, out / RECORD):
         with bar("avatar page") as progress:
-            write_avatar_page(out / PAGE, parts, maps)
+            write_avatar_page(out / PAGE, parts, maps, next(iter(request.photographs), None))
             progress(1, 1)
     facts = read_json(out / "fit" / FIT) if maps is None else _facts_of(maps)
     notes: list[str] = []

@@ -100,7 +100,11 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
     network = whole_face_of(request.checkpoint)
     template = load_template(request.template)
     photographs, places, notes = read_all(request, template)
-    photographs = [_with_colour(each, network, notes) for each in photographs]
+    colourless = [has_no_colour(each.rgb_linear) for each in photographs]
+    photographs = [
+        _coloured(each, network, notes) if grey else each
+        for each, grey in zip(photographs, colourless, strict=True)
+    ]
     meso, about_meso = load_mesostructure(shipped_mesostructure())
     fitted = fit_head(
         photographs,
@@ -112,7 +116,7 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
         progress,
         load_super_resolution(shipped_super_resolution())[0] if config.super_resolution else None,
     )
-    facts = _facts(photographs, fitted, config, notes, request.template)
+    facts = _facts(photographs, colourless, fitted, config, notes, request.template)
     with atomic_folder(request.out, FIT, own=OWN) as folder:
         write_fitted(folder, fitted)
         write_json(folder / FIT, {"schema": SCHEMA, **facts})
@@ -150,10 +154,8 @@ def read_all(request: FitRequest, template: Template) -> tuple[list[Photograph],
     return photographs, marks.places, notes
 
 
-def _with_colour(photograph: Photograph, network: WholeFaceNetwork, notes: list[str]) -> Photograph:
-    """A photograph; one in black and white has the mean person's colour, and a note states it."""
-    if not has_no_colour(photograph.rgb_linear):
-        return photograph
+def _coloured(photograph: Photograph, network: WholeFaceNetwork, notes: list[str]) -> Photograph:
+    """A black-and-white photograph in the mean person's colour; a note states it."""
     notes.append(
         f"{photograph.name} is black and white: the colour of its skin is the mean person's, not "
         "the photograph's"
@@ -277,6 +279,7 @@ def write_fitted(folder: Path, fitted: FittedHead) -> None:
 
 def _facts(
     photographs: list[Photograph],
+    colourless: list[bool],
     fitted: FittedHead,
     config: FitConfig,
     notes: list[str],
@@ -292,6 +295,7 @@ def _facts(
             "height_px": camera.height_px,
             "focal_px": camera.fx_px,
             "focal_told": photograph.focal_px is not None,
+            "black_and_white": colourless[index],
             "cam_from_head": camera.cam_from_world.tolist(),
             "landmark_px": found.residual_px,
             "landmarks_used": float((found.used > 0.25).mean()),
