@@ -135,10 +135,16 @@ def guesses(fit: dict[str, Any], source: Source) -> list[list[str]]:
             else f"typology angle {tone['ita_deg']:.0f} degrees, uncertain by "
             f"{tone['span_deg']:.0f}: a photograph does not separate it from the light",
         ],
-        ["what was not seen", f"{100 * filled:.0f} % of the texels were filled with such skin"],
+        [
+            "what was not seen",
+            f"{100 * filled:.0f} % of the texels: the skin that was seen, continued and mirrored",
+        ],
         ["hair", "colour on the skull, without volume; where it was not seen, continued"],
         ["eyes", "painted on the lids' surface; no eyeballs"],
-        ["teeth, inside of the mouth", "none: the neutral mouth is closed over nothing"],
+        [
+            "teeth, inside of the mouth",
+            "none: lips and what a photograph shows between them are one surface",
+        ],
         [
             "shape",
             f"standard deviation {fit['shape_deviation_mm']:.1f} mm over the face; depth from in "

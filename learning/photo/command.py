@@ -31,7 +31,7 @@ from learning.photo.shape_fit import Photograph, Places, detector_places
 from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
-from lightstage.faces import detect_faces
+from lightstage.faces import SURE, Face, detect_faces, small_faces
 from lightstage.faces.schemes import FACE_MESH, IBUG, IBUG_PAIRS, ibug68, seen_points
 from lightstage.formats.environment import write_lights
 from lightstage.formats.exr import write_exr
@@ -54,8 +54,8 @@ MAPS = "atlas"
 OWN = (FIT, PAGE, TEXTURE, LIGHT, MESH, NEUTRAL, f"{MAPS}/*.exr")
 """What a fit's folder holds."""
 MOST_PHOTOGRAPHS = 32
-SURE = 0.9
-"""A detector that is less sure of a face is mentioned."""
+LEAST_PRESENCE = 0.1
+"""Confidence of the detector from which a face is taken where there is no surer one: a profile."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -237,7 +237,7 @@ class Marks:
 
     def _detected(self, path: Path, rgb_linear: np.ndarray, notes: list[str]) -> np.ndarray:
         shown = np.round(255 * srgb_from_linear(rgb_linear)).astype(np.uint8)
-        faces = detect_faces(shown)
+        faces = _faces(shown)
         if len(faces) < self._face:
             found = counted(len(faces), "face") if faces else "no face"
             raise MapsError(
@@ -260,6 +260,14 @@ class Marks:
                 "face; inspect the fit over it"
             )
         return seen_points(face, FACE_MESH)
+
+
+def _faces(shown: np.ndarray) -> list[Face]:
+    """Faces of a photograph, the largest first: sure ones, however small, before doubtful ones."""
+    faces = detect_faces(shown)
+    if not any(face.presence >= SURE for face in faces):
+        faces = small_faces(shown) or faces
+    return faces or detect_faces(shown, LEAST_PRESENCE)
 
 
 def write_fitted(folder: Path, fitted: FittedHead) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import torch
 
 from learning.errors import MapsError
 from learning.infer import Inferred
@@ -44,6 +45,7 @@ from learning.whole.gaps import continued
 from learning.whole.infer import infer_whole_face
 from learning.whole.light import SEARCH_SECONDS
 from learning.whole.refine import OF_TRUE_SHAPES, OwnShares
+from learning.whole.texture_layout import FARTHEST_MM, apart_mm
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
@@ -123,9 +125,9 @@ def fit_head(
         MapsError: see `fit_shape`; a first photograph that shows too little of the face.
     """
     steps = len(photographs) + 3
-    shape = fit_shape(photographs, template, places, config, network=network)
-    progress(1, steps)
     notes: list[str] = []
+    shape = _likely_shape(photographs, template, places, network, config, notes)
+    progress(1, steps)
     several = len(photographs) > 1
     looked: list[_Looked] = []
     for index, photograph in enumerate(photographs):
@@ -214,6 +216,30 @@ def fit_head(
         fitted = _with_all_rows(fitted, shown, first, config.rows)
     progress(steps, steps)
     return fitted
+
+
+def _likely_shape(
+    photographs: list[Photograph],
+    template: Template,
+    places: Places,
+    network: WholeFaceNetwork,
+    config: FitConfig,
+    notes: list[str],
+) -> Shape:
+    """The person's shape; by the landmarks alone where pixels, as of dark glasses, mislead."""
+    shape = fit_shape(photographs, template, places, config, network=network)
+    rows, columns = network.mean_position_mm.shape[2:]
+    raster = rasterise(shape.meshes[0], rows, columns)
+    place = torch.from_numpy(raster.interpolate(shape.meshes[0].vertices)).float()
+    apart = apart_mm(place.permute(2, 0, 1)[None], network.mean_position_mm)
+    if not config.pixel_rounds or apart <= FARTHEST_MM:
+        return shape
+    notes.append(
+        f"the pixels gave a head that is {apart:.0f} mm from people's in the mean: the landmarks "
+        "alone gave its shape"
+    )
+    alone = dataclasses.replace(config, pixel_rounds=0)
+    return fit_shape(photographs, template, places, alone, shape.model)
 
 
 def _with_all_rows(fitted: FittedHead, shown: list[Shown], first: _Texels, rows: int) -> FittedHead:

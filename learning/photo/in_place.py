@@ -29,8 +29,8 @@ FAR_MM, FOCAL_PX = 900.0, 2400.0
 STUDIO = LightSet(
     "studio",
     np.array([[-500.0, 500.0, 900.0], [700.0, 200.0, 800.0]]),
-    np.array([[0.55] * 3, [0.25] * 3]),
-    np.full(3, 0.3),
+    np.array([[1.0] * 3, [0.4] * 3]),
+    np.full(3, 0.4),
 )
 """Under which the neutral head is shown."""
 

@@ -15,7 +15,7 @@ import tifffile
 from learning.checkpoint import load_whole_face, shipped_weights
 from learning.photo import command
 from learning.photo import picture as reading
-from learning.photo.command import FitRequest, Marks, _with_colour
+from learning.photo.command import FitRequest, Marks, _coloured
 from learning.photo.grey import coloured, has_no_colour
 from learning.photo.picture import read_photograph
 from learning.photo.shape_fit import Photograph
@@ -135,12 +135,10 @@ def test_black_and_white_gets_the_mean_persons_colour_and_a_note(tmp_path: Path)
     assert (found[..., 0] > found[..., 2]).all()  # skin is red more than blue
     notes: list[str] = []
     points = np.zeros((68, 2))
-    kept = _with_colour(Photograph("old.jpg", grey, points), network, notes)
+    kept = _coloured(Photograph("old.jpg", grey, points), network, notes)
     assert "old.jpg is black and white" in notes[0]
     np.testing.assert_array_equal(kept.rgb_linear, found)
-    same = Photograph("new.jpg", found, points)
-    assert _with_colour(same, network, notes) is same
-    assert len(notes) == 1
+    assert not has_no_colour(found)
 
 
 def test_of_two_faces_the_larger_is_taken_and_a_third_is_none(
@@ -187,6 +185,39 @@ def test_landmarks_of_a_file_go_with_a_photograph_that_is_made_smaller(tmp_path:
     assert file.rgb_linear.shape[1] == 6000
     found, _ = stated(tmp_path, ["wide.png"], points).of(path, file, [])
     np.testing.assert_allclose(found, points * 6000 / 6600)
+
+
+def doubtful(size: float, presence: float) -> Face:
+    return Face(np.full((468, 2), size), np.zeros(468), presence, (0.0, 0.0, size, size))
+
+
+@pytest.mark.parametrize(
+    ("whole", "in_parts", "leniently", "taken"),
+    [
+        ([0.95], [], [], "whole"),
+        ([0.6], [0.99], [], "in_parts"),
+        ([0.6], [], [], "whole"),
+        ([], [], [0.2], "leniently"),
+    ],
+)
+def test_a_sure_face_however_small_is_taken_before_a_doubtful_one(
+    monkeypatch: pytest.MonkeyPatch,
+    whole: list[float],
+    in_parts: list[float],
+    leniently: list[float],
+    taken: str,
+) -> None:
+    found = {
+        name: [doubtful(size, presence) for presence in presences]
+        for size, (name, presences) in enumerate(
+            {"whole": whole, "in_parts": in_parts, "leniently": leniently}.items(), 1
+        )
+    }
+    monkeypatch.setattr(
+        command, "detect_faces", lambda _, *least: found["leniently" if least else "whole"]
+    )
+    monkeypatch.setattr(command, "small_faces", lambda _: found["in_parts"])
+    assert command._faces(np.zeros((9, 9, 3), np.uint8)) == found[taken]
 
 
 def test_two_photographs_of_one_name_do_not_share_landmarks(tmp_path: Path) -> None:
