@@ -64,6 +64,9 @@ MOST_ASIDE_DEG = 15.0
 """How far off straight in front a photograph fills the texels of eyes, at most. Seven photographs
 from in front gained 1.4 dB of albedo, four from 20 and 35 degrees to the side, where the shape's
 own texels show more white, lost 6."""
+DOUBT = 4.0
+"""Landmarks are so much less certain where they gave a head that people do not have, as those of a
+face of 50 pixels do."""
 DARK = 0.01
 """Added to both before a photograph is compared with its model."""
 
@@ -226,20 +229,29 @@ def _likely_shape(
     config: FitConfig,
     notes: list[str],
 ) -> Shape:
-    """The person's shape; by the landmarks alone where pixels, as of dark glasses, mislead."""
+    """The person's shape, by what gives one that people have: pixels, else landmarks."""
     shape = fit_shape(photographs, template, places, config, network=network)
-    rows, columns = network.mean_position_mm.shape[2:]
-    raster = rasterise(shape.meshes[0], rows, columns)
-    place = torch.from_numpy(raster.interpolate(shape.meshes[0].vertices)).float()
-    apart = apart_mm(place.permute(2, 0, 1)[None], network.mean_position_mm)
-    if not config.pixel_rounds or apart <= FARTHEST_MM:
-        return shape
-    notes.append(
-        f"the pixels gave a head that is {apart:.0f} mm from people's in the mean: the landmarks "
-        "alone gave its shape"
-    )
     alone = dataclasses.replace(config, pixel_rounds=0)
-    return fit_shape(photographs, template, places, alone, shape.model)
+    doubted = dataclasses.replace(alone, landmark_percent=DOUBT * config.landmark_percent)
+    note = []
+    for instead, what in (
+        (alone, "the landmarks alone gave its shape"),
+        (doubted, "the mean head's shape, changed little, was taken"),
+    ):
+        apart = _from_people_mm(shape.meshes[0], network)
+        if apart <= FARTHEST_MM:
+            break
+        note = [f"the photograph gave a head {apart:.0f} mm from people's in the mean: {what}"]
+        shape = fit_shape(photographs, template, places, instead, shape.model)
+    notes += note
+    return shape
+
+
+def _from_people_mm(mesh: Mesh, network: WholeFaceNetwork) -> float:
+    """Mean distance of a head's texels from the mean person's."""
+    raster = rasterise(mesh, *network.mean_position_mm.shape[2:])
+    place = torch.from_numpy(raster.interpolate(mesh.vertices)).float()
+    return apart_mm(place.permute(2, 0, 1)[None], network.mean_position_mm)
 
 
 def _with_all_rows(fitted: FittedHead, shown: list[Shown], first: _Texels, rows: int) -> FittedHead:

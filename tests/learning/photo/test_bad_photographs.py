@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -14,8 +15,10 @@ import tifffile
 
 from learning.checkpoint import load_whole_face, shipped_weights
 from learning.photo import command
+from learning.photo import fit as fitting
 from learning.photo import picture as reading
 from learning.photo.command import FitRequest, Marks, _coloured
+from learning.photo.config import FitConfig
 from learning.photo.grey import coloured, has_no_colour
 from learning.photo.picture import read_photograph
 from learning.photo.shape_fit import Photograph
@@ -218,6 +221,38 @@ def test_a_sure_face_however_small_is_taken_before_a_doubtful_one(
     )
     monkeypatch.setattr(command, "small_faces", lambda _: found["in_parts"])
     assert command._faces(np.zeros((9, 9, 3), np.uint8)) == found[taken]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "asked", "note"),
+    [
+        ((1.0,), [(3, 12.0)], ""),
+        ((1.6, 1.0), [(3, 12.0), (0, 12.0)], "the landmarks alone gave its shape"),
+        ((1.6, 1.5, 1.0), [(3, 12.0), (0, 12.0), (0, 48.0)], "the mean head's shape"),
+    ],
+)
+def test_a_photograph_that_gives_no_persons_head_is_trusted_less(
+    monkeypatch: pytest.MonkeyPatch,
+    sizes: tuple[float, ...],
+    asked: list[tuple[int, float]],
+    note: str,
+) -> None:
+    template, network = load_template(default_template_path()), load_whole_face(shipped_weights())
+    called = []
+
+    def sized(*given: Any, **_: Any) -> Any:
+        called.append((given[3].pixel_rounds, given[3].landmark_percent))
+        grown = template.mesh.with_vertices(sizes[len(called) - 1] * template.mesh.vertices)
+        return SimpleNamespace(meshes=(grown,), model=None)
+
+    monkeypatch.setattr(fitting, "fit_shape", sized)
+    notes: list[str] = []
+    places: Any = None
+    found = fitting._likely_shape([], template, places, network[0], FitConfig(), notes)
+    assert called == asked
+    np.testing.assert_array_equal(found.meshes[0].vertices, template.mesh.vertices)
+    assert len(notes) == bool(note)
+    assert note in "".join(notes)
 
 
 def test_two_photographs_of_one_name_do_not_share_landmarks(tmp_path: Path) -> None:
