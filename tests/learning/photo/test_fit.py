@@ -139,6 +139,15 @@ def test_what_is_up_to_date_is_skipped_and_a_changed_option_is_not(
     page = (out / "avatar.html").read_text()
     assert 'href="export/head.obj"' in page
     assert "head.glb" not in page
+    assert page.index("The photograph and the head") < page.index("The neutral head")
+    assert "What is guessed" in page
+    shapes = [read_obj(out / "fit" / f"{name}_mesh.obj") for name in ("neutral", "registered")]
+    for shape, words_more in zip(shapes, ([], ["--expression", "photo"]), strict=True):
+        code, facts = called(*line, *words_more)
+        assert code == 0
+        assert {"fit", "detail"} <= set(facts["skipped"])
+        exported = read_obj(out / "export" / "head.obj").vertices
+        np.testing.assert_allclose(exported, shape.vertices, atol=1e-3)
 
 
 def test_a_fit_that_is_killed_before_it_is_recorded_is_made_again(
@@ -382,6 +391,7 @@ def test_a_captured_heads_maps_are_an_avatar_without_a_fit(
         ([*line, captured.registered_mesh], "found both"),
         ([word for word in line if word not in ("--maps", root)], "found neither"),
         ([*line, "--until", "fit"], "detail or export"),
+        ([*line, "--expression", "photo"], "--expression: found given with --maps"),
         ([*line, "--rows", "768", "--face", "2"], "--face, --rows: found given with --maps"),
         ([*line, "--landmarks", tmp_path / "none.json"], "--landmarks: found given with --maps"),
     ):
@@ -398,6 +408,7 @@ def test_an_avatar_refuses_before_it_writes_anything(shot: Shot, tmp_path: Path)
         return str(stated["error"])
 
     assert "found a folder, expected a photograph" in refusal(photo=tmp_path)
+    assert "found 'smile', expected neutral or photo" in refusal("--expression", "smile")
     assert "--until" in refusal("--until", "page")
     assert "--format" in refusal("--format", "fbx")
     assert "--rows: found 200, expected a multiple of 3" in refusal("--rows", "200")
