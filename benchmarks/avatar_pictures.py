@@ -23,17 +23,18 @@ import numpy as np
 
 from benchmarks.avatar import LIGHTS, ROWS
 from benchmarks.avatar_photos import Case, head_of, light_for, sitter_of
-from benchmarks.likeness import camera_of
 from benchmarks.networks_lights import light_of
 from benchmarks.networks_people import KINDS, chosen
 from benchmarks.photo import in_head
 from benchmarks.photo_studio import FOCAL_PX, HEIGHT_PX, WIDTH_PX, studio_camera
 from learning.maps import load_head
-from learning.photo.command import LIGHT, MAPS, MESH, FitRequest, fit_command
+from learning.photo.command import FIT, MAPS, MESH, FitRequest, fit_command
+from learning.photo.in_place import GREY, around_head, cut, photo_camera, photographed
 from learning.photo.picture import read_photograph
 from learning.relight import render_head, shadows_of
 from lightstage.commands import quiet
-from lightstage.formats.environment import LightSet, read_lights
+from lightstage.exif import film_focal_px
+from lightstage.formats.environment import LightSet
 from lightstage.formats.files import read_json
 from lightstage.formats.mesh import Mesh, read_obj
 from lightstage.formats.png import write_png
@@ -48,10 +49,7 @@ SIDE = "hard-oblique"
 """Light of the turned heads, of `benchmarks.networks_lights`."""
 ACROSS = 2
 """Heads in a row of the picture."""
-GREY = 0.25
-FILM_MM = 36.0 * FOCAL_PX / max(WIDTH_PX, HEIGHT_PX)
-AROUND = 0.08
-"""Margin around a head in its photograph, of its size."""
+FILM_MM = FOCAL_PX / film_focal_px(1.0, WIDTH_PX, HEIGHT_PX)
 
 
 def main() -> None:
@@ -96,14 +94,12 @@ def fit_tiles(
     """The photograph, the head in its place, and the head turned; `side` in the head frame."""
     request = FitRequest((photo,), default_template_path(), out, film_mm=film_mm, rows=2 * ROWS)
     fit_command(request, quiet)
-    camera = camera_of(out)
+    taken = read_json(out / FIT)["photographs"][0]
+    camera = photo_camera(taken)
     mesh = read_obj(out / MESH)
-    light = read_lights(out / LIGHT) if (out / LIGHT).is_file() else None
-    place, _ = camera.project(mesh.vertices)
-    own = np.zeros((camera.height_px, camera.width_px, 3), np.float32)
-    if light is not None:
-        own = picture(out / MAPS, mesh, light, camera)
-    shown = [cut(image, place) for image in (read_photograph(photo).rgb_linear, own)]
+    part = around_head(camera, mesh.vertices, TILE_PX)
+    shown = [cut(read_photograph(photo).rgb_linear, camera, part), photographed(out, part)]
+    shown = [codes(image) for image in shown]
     return [*shown, tile(picture(out / MAPS, mesh, side, studio_camera(np.eye(3, 4), TURN_DEG)))]
 
 
@@ -135,24 +131,15 @@ def side_light() -> LightSet:
     return light_of(SIDE, 0)
 
 
-def cut(image: np.ndarray, place_px: np.ndarray) -> np.ndarray:
-    """A tile of what is around a head whose (n, 2) vertices are at these places."""
-    low, high = place_px.min(axis=0), place_px.max(axis=0)
-    middle, reach = (low + high) / 2, (high - low) * (0.5 + AROUND)
-    half = max(reach[1], reach[0] * TILE_PX[1] / TILE_PX[0])
-    scale = TILE_PX[1] / (2 * half)
-    shift = np.array(TILE_PX) / 2 - scale * middle
-    turn = np.array([[scale, 0, shift[0]], [0, scale, shift[1]]])
-    flags = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
-    soft = cv2.GaussianBlur(image, (0, 0), 0.4 / scale) if scale < 1 else image
-    found = cv2.warpAffine(soft, turn, TILE_PX, flags=flags, borderValue=(GREY,) * 3)
-    return np.round(255 * srgb_from_linear(np.clip(found, 0, 1))).astype(np.uint8)
+def codes(image: np.ndarray) -> np.ndarray:
+    """Linear light as sRGB's bytes."""
+    return np.round(255 * srgb_from_linear(np.clip(image, 0, 1))).astype(np.uint8)
 
 
 def tile(image: np.ndarray) -> np.ndarray:
     """A picture of the studio's size as a tile."""
     small = cv2.resize(image.astype(np.float32), TILE_PX, interpolation=cv2.INTER_AREA)
-    return np.round(255 * srgb_from_linear(np.clip(small, 0, 1))).astype(np.uint8)
+    return codes(small)
 
 
 def row(tiles: list[np.ndarray]) -> np.ndarray:

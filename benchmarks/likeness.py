@@ -48,6 +48,7 @@ from learning.photo.command import (
     FitRequest,
     fit_command,
 )
+from learning.photo.in_place import GREY, around_head, cut, photo_camera
 from learning.photo.picture import read_photograph
 from learning.relight import render_head, shadows_of, turned_camera
 from learning.render.uv import rasterise
@@ -71,14 +72,11 @@ PUBLIC_DOMAIN = {
 """Photographs in the public domain that packages carry."""
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 ROWS = 768
-SIDE_PX = 448
+SIZE = 448, 448
 """Of the pictures that are compared."""
-AROUND = 0.2
-"""Margin around the head, of its size."""
 TURN_DEG = 30.0
 OTHER = "front"
 """The other light, of `benchmarks.networks_lights`."""
-GREY = 0.25
 CLAY = 0.5
 REPROJECTED, SAME, LEFT, RIGHT, RELIT, MEAN = (
     "its texture on the mesh",
@@ -186,14 +184,16 @@ def compared(name: str, photo: Path, fit: Path, recogniser: DlibRecogniser) -> C
     mesh = read_obj(fit / MESH)
     head = load_head(fit / MAPS, mesh, template())
     light = read_lights(fit / LIGHT)
-    camera = camera_of(fit)
-    window = around(camera, mesh)
-    left, right = (around(turned(camera, mesh, way), mesh) for way in (-TURN_DEG, TURN_DEG))
+    camera = photo_camera(read_json(fit / FIT)["photographs"][0])
+    window = around_head(camera, mesh.vertices, SIZE)
+    left, right = (
+        around_head(turned(camera, mesh, way), mesh.vertices, SIZE) for way in (-TURN_DEG, TURN_DEG)
+    )
     mean, other = mean_head(head), light_of(OTHER, 0)
     began = time.perf_counter()
     lit, relit = shadows_of(head, light), shadows_of(head, other)
     seconds = {SHADOWS: (time.perf_counter() - began) / 2}
-    unlike = shadows_of(mean, light)
+    unlike, mean_window = shadows_of(mean, light), around_head(camera, mean.mesh.vertices, SIZE)
     made = {
         SAME: lambda: render_head(head, light, window, GREY, seen=lit)[0],
         LEFT: lambda: render_head(head, light, left, GREY, seen=lit)[0],
@@ -202,8 +202,8 @@ def compared(name: str, photo: Path, fit: Path, recogniser: DlibRecogniser) -> C
         REPROJECTED: lambda: render_view(
             read_exr(fit / TEXTURE), head.raster.covered, mesh, window, GREY
         )[0],
-        MEAN: lambda: render_head(mean, light, around(camera, mean.mesh), GREY, seen=unlike)[0],
-        NEUTRAL: lambda: clay(read_obj(fit / NEUTRAL), head, around(camera, mesh)),
+        MEAN: lambda: render_head(mean, light, mean_window, GREY, seen=unlike)[0],
+        NEUTRAL: lambda: clay(read_obj(fit / NEUTRAL), head, window),
     }
     taken = cut(read_photograph(photo).rgb_linear, camera, window)
     pictures = {"": srgb_from_linear(np.clip(taken, 0, 1))}
@@ -220,49 +220,9 @@ def compared(name: str, photo: Path, fit: Path, recogniser: DlibRecogniser) -> C
     return Compared(name, tone_of(ita_deg(albedo)), pictures, faces, seconds)
 
 
-def camera_of(fit: Path) -> Camera:
-    """The camera of a fit's first photograph; the world is the head frame."""
-    taken = read_json(fit / FIT)["photographs"][0]
-    width, height, focal = taken["width_px"], taken["height_px"], taken["focal_px"]
-    pose = np.array(taken["cam_from_head"])
-    return Camera(
-        "photo", "", "", width, height, focal, focal, width / 2, height / 2, (0.0,) * 5, pose
-    )
-
-
 def turned(camera: Camera, mesh: Mesh, way_deg: float) -> Camera:
     """A camera turned about the head."""
     return turned_camera(camera, way_deg, mesh.vertices.mean(axis=0))
-
-
-def around(camera: Camera, mesh: Mesh) -> Camera:
-    """The same camera for a square picture of the head alone."""
-    place, _ = camera.project(mesh.vertices)
-    low, high = place.min(axis=0), place.max(axis=0)
-    scale = SIDE_PX / ((high - low).max() * (1 + 2 * AROUND))
-    shift = SIDE_PX / 2 - scale * (low + high) / 2
-    return dataclasses.replace(
-        camera,
-        width_px=SIDE_PX,
-        height_px=SIDE_PX,
-        fx_px=scale * camera.fx_px,
-        fy_px=scale * camera.fy_px,
-        cx_px=scale * camera.cx_px + shift[0],
-        cy_px=scale * camera.cy_px + shift[1],
-    )
-
-
-def cut(image: np.ndarray, camera: Camera, window: Camera) -> np.ndarray:
-    """What a photograph, (h, w, 3) linear, shows in the window of `around`."""
-    scale = window.fx_px / camera.fx_px
-    # Pixels' centres are at halves, OpenCV's at whole numbers.
-    shift = np.array([window.cx_px - scale * camera.cx_px, window.cy_px - scale * camera.cy_px])
-    shift += 0.5 * scale - 0.5
-    move = np.array([[scale, 0, shift[0]], [0, scale, shift[1]]])
-    soft = cv2.GaussianBlur(image, (0, 0), 0.4 / scale) if scale < 1 else image
-    return cv2.warpAffine(
-        soft, move, (SIDE_PX, SIDE_PX), flags=cv2.INTER_LINEAR, borderValue=(GREY,) * 3
-    )
 
 
 def mean_head(like: TexturedHead) -> TexturedHead:

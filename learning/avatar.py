@@ -23,6 +23,7 @@ from learning.detail.config import RELIEF_MM, TIMES
 from learning.errors import MapsError, NoReliefError
 from learning.export.command import OWN as OF_EXPORT
 from learning.export.command import README, export_command, formats_of
+from learning.export.morphs import PHOTO
 from learning.export.source import maps_folder
 from learning.photo.avatar_page import write_avatar_page
 from learning.photo.command import FIT, FitRequest, fit_command
@@ -53,6 +54,9 @@ MARKS = {"fit": FIT, "detail": ABOUT, "export": README}
 """A file that a stage's folder holds."""
 OWN = {"fit": OF_FIT, "detail": OF_DETAIL, "export": OF_EXPORT}
 """All that is in a stage's folder. What has other files too is neither removed nor replaced."""
+NEUTRAL = "neutral"
+EXPRESSIONS = (NEUTRAL, PHOTO)
+"""With which a head may open."""
 FLAT = "flat "
 """Stands before the hash of a fit in whose normals `detail` found no relief."""
 Bar = Callable[[str], AbstractContextManager[ProgressCallback]]
@@ -60,7 +64,12 @@ Bar = Callable[[str], AbstractContextManager[ProgressCallback]]
 
 
 def avatar_command(
-    request: FitRequest, until: str, formats: str, bar: Bar, maps: Path | None = None
+    request: FitRequest,
+    until: str,
+    formats: str,
+    bar: Bar,
+    maps: Path | None = None,
+    expression: str = NEUTRAL,
 ) -> dict[str, Any]:
     """Make a head of photographs of one person: OUT/fit, OUT/detail, OUT/export, a page; the facts.
 
@@ -73,6 +82,7 @@ def avatar_command(
         bar: of each stage that runs.
         maps: of a captured head, such as a processed folder, in place of photographs: then there is
             no stage `fit`.
+        expression: with which the exported head opens, of `EXPRESSIONS`.
 
     Raises:
         LightstageError: bad input; a stage that is there stays as it is.
@@ -88,8 +98,10 @@ def avatar_command(
     if until not in stages:
         raise ConfigError("--until", found=repr(until), expected=" or ".join(stages))
     formats_of(formats)
+    if expression not in EXPRESSIONS:
+        raise ConfigError("--expression", found=repr(expression), expected=" or ".join(EXPRESSIONS))
     if maps is not None:
-        _require_no_fit_options(request)
+        _require_no_fit_options(request, expression)
     out = request.out
     others = others_in(out, [RECORD, PAGE, LOCK, *stages])
     if others:
@@ -101,7 +113,7 @@ def avatar_command(
             hint="Choose another --out.",
         )
     with _alone(out):
-        facts = _made_of(request, stages, until, formats, bar, maps)
+        facts = _made_of(request, stages, until, formats, bar, maps, expression)
     return {**facts, "seconds": time.monotonic() - began}
 
 
@@ -141,6 +153,7 @@ def _made_of(
     formats: str,
     bar: Bar,
     maps: Path | None,
+    expression: str,
 ) -> dict[str, Any]:
     """Make what is not up to date, see `avatar_command`; the facts."""
     out = request.out
@@ -150,7 +163,7 @@ def _made_of(
     keys = {
         "fit": fit_key,
         "detail": _hash([fit_key, RELIEF_MM, TIMES]),
-        "export": _hash([fit_key, formats]),
+        "export": _hash([fit_key, formats, expression]),
     }
     if maps is not None and made.get("maps") != fit_key:
         made = {"maps": fit_key}  # what is there was made of another head
@@ -174,7 +187,7 @@ def _made_of(
             elif stage == "detail":
                 key = key if _detailed(source, out, progress) else FLAT + key
             else:
-                of_export = _exported(source, request, formats, progress)
+                of_export = _exported(source, request, formats, expression, progress)
         made[stage] = key
         # What was made of another head does not stay beside this one, and the page shows it.
         for other in _beside(made):
@@ -184,7 +197,7 @@ def _made_of(
     parts = [stage for stage in stages if not made.get(stage, FLAT).startswith(FLAT)]
     if not _is_newer(out / PAGE, out / RECORD):
         with bar("avatar page") as progress:
-            write_avatar_page(out / PAGE, parts, maps)
+            write_avatar_page(out / PAGE, parts, maps, next(iter(request.photographs), None))
             progress(1, 1)
     facts = read_json(out / "fit" / FIT) if maps is None else _facts_of(maps)
     notes: list[str] = []
@@ -210,7 +223,7 @@ def _made_of(
     }
 
 
-def _require_no_fit_options(request: FitRequest) -> None:
+def _require_no_fit_options(request: FitRequest, expression: str) -> None:
     """Refuse options of a fit where there is none."""
     of_fit = {
         "--landmarks": request.landmarks is not None,
@@ -220,6 +233,7 @@ def _require_no_fit_options(request: FitRequest) -> None:
         "--rows": request.rows is not None,
         "--refine": request.refine is not None,
         "--config": request.config is not None,
+        "--expression": expression != NEUTRAL,
     }
     given = [name for name, is_given in of_fit.items() if is_given]
     if given:
@@ -275,7 +289,7 @@ def _remove(folder: Path) -> None:
 
 
 def _exported(
-    source: Path, request: FitRequest, formats: str, progress: ProgressCallback
+    source: Path, request: FitRequest, formats: str, expression: str, progress: ProgressCallback
 ) -> list[str]:
     """Make OUT/export; returns notes for the user."""
     facts = export_command(
@@ -287,6 +301,7 @@ def _exported(
         None,
         progress,
         replace=True,
+        opens_with=PHOTO if expression == PHOTO else None,
     )
     notes: list[str] = facts["notes"]
     return notes
@@ -313,6 +328,7 @@ def _maps_inputs(maps: Path, template: Path) -> list[Any]:
     folder = maps_folder(maps, "--maps")
     beside = ProcessedFolder(folder.parent)
     files = [*sorted(folder.glob("*.exr")), beside.registered_mesh, beside.head_pose]
+    files.append(beside.neutral_mesh)
     files += sorted(path for path in template.rglob("*") if path.is_file())
     return [code_version(), [[path.name, _content(path)] for path in files]]
 

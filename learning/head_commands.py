@@ -38,7 +38,10 @@ def export(
     out: Annotated[Path, output_folder("--out", help="Folder to make.")],
     mesh: Annotated[
         Path | None,
-        typer.Option(help="Mesh with the maps' UV; else registered_mesh.obj beside the maps."),
+        typer.Option(
+            help="Mesh with the maps' UV; else registered_mesh.obj beside the maps, of a fit "
+            "its neutral one."
+        ),
     ] = None,
     formats: Annotated[
         str,
@@ -98,7 +101,10 @@ def detail(
     ],
     mesh: Annotated[
         Path | None,
-        typer.Option(help="Mesh with the maps' UV; else registered_mesh.obj beside the maps."),
+        typer.Option(
+            help="Mesh with the maps' UV; else registered_mesh.obj beside the maps, of a fit "
+            "its neutral one."
+        ),
     ] = None,
     longest_mm: Annotated[
         float,

@@ -54,7 +54,8 @@ FilmOption = Annotated[
     float | None,
     typer.Option(
         "--focal-35mm",
-        help="Focal length of the lens as on 35 mm film, mm, in place of what the files state.",
+        help="35 mm equivalent of the focal length, by the diagonal, mm, in place of what the "
+        "files state.",
     ),
 ]
 FitRowsOption = Annotated[
@@ -149,6 +150,13 @@ def avatar(
     formats: Annotated[
         str, typer.Option("--format", help="As `export --format`, with commas.")
     ] = "gltf,page",
+    expression: Annotated[
+        str,
+        typer.Option(
+            help="With which the exported head opens: `neutral`, or `photo` for the first "
+            "photograph's."
+        ),
+    ] = "neutral",
     until: Annotated[str, typer.Option(help="Last stage: `fit`, `detail` or `export`.")] = "export",
     as_json: bool = JsonFlag,
 ) -> None:
@@ -162,7 +170,7 @@ def avatar(
     )
     given = [path.parent for path in photos] + ([] if maps is None else [maps])
     with limited_access(group_of(given)):
-        facts = avatar_command(request, until, formats, progress_bar, maps)
+        facts = avatar_command(request, until, formats, progress_bar, maps, expression)
     skipped = f"{', '.join(facts['skipped'])} up to date, " if facts["skipped"] else ""
     finish(
         f"{out}: {', '.join(facts['parts'])}; {facts['rows']} x {facts['columns']} texels, "

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import math
 import re
 import struct
 from collections.abc import Iterator
@@ -31,6 +32,15 @@ FOCAL, FOCAL_35MM, PLANE_X, PLANE_UNIT = 37386, 41989, 41486, 41488
 WIDE_PX, HIGH_PX = 40962, 40963
 PLANE_UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0}
 """FocalPlaneResolutionUnit: inch, centimetre, millimetre."""
+FILM_DIAGONAL_MM = math.hypot(36.0, 24.0)
+"""Of the frame to which a 35 mm equivalent refers, by its diagonal [CIPA2005]."""
+FILM_RANGE_MM = (11.0, 1080.0)
+"""35 mm equivalents of lenses, from a fisheye to a telescope."""
+SENSOR_RANGE_MM = (3.0, 60.0)
+"""Longer sides of cameras' sensors."""
+MOST_BY_PLANE_MM = 300.0
+"""35 mm equivalent that a sensor's resolution alone may give: where a program shrank the picture
+and its stated size but not the resolution, portrait lenses become longer than this."""
 MAKE, MODEL, ORIENTATION, XMP, IPTC = 271, 272, 274, 700, 33723
 NAMES = {
     315: "Artist",
@@ -78,7 +88,7 @@ class Exif:
         taken: DateTimeOriginal, without a zone unless the file has it.
         private: names of the fields that may reveal who or where; never their values.
         focal_mm: the lens's focal length.
-        focal_35mm_mm: the same for film 36 mm wide.
+        focal_35mm_mm: of the lens that shows as much on film of 36 x 24 mm, by the diagonal.
         focal_plane_px_per_mm: pixels on a millimetre of the sensor.
         longer_px: longer side of the picture that the camera wrote.
         orientation: tag of the picture's first directory, 1 to 8.
@@ -103,6 +113,27 @@ class Exif:
         """Seconds * ISO / f-number^2; None where the file does not state them all."""
         time_s, iso, stop = self.exposure_s or 0, self.iso or 0, self.f_number or 0
         return float(time_s * iso / stop**2) if min(time_s, iso, stop) > 0 else None
+
+    def focal_px(self, width_px: int, height_px: int) -> float | None:
+        """Focal length in pixels of a picture of that size, uncropped; None where nothing gives it.
+
+        The 35 mm equivalent has precedence: programs that shrink a picture leave it right.
+        """
+        if self.focal_35mm_mm:
+            inside = FILM_RANGE_MM[0] <= self.focal_35mm_mm <= FILM_RANGE_MM[1]
+            return film_focal_px(self.focal_35mm_mm, width_px, height_px) if inside else None
+        if not (self.focal_mm and self.focal_plane_px_per_mm and self.longer_px):
+            return None
+        sensor_mm = self.longer_px / self.focal_plane_px_per_mm
+        found = self.focal_mm / sensor_mm * max(width_px, height_px)
+        film_mm = found / film_focal_px(1.0, width_px, height_px)
+        possible = SENSOR_RANGE_MM[0] <= sensor_mm <= SENSOR_RANGE_MM[1]
+        return found if possible and FILM_RANGE_MM[0] <= film_mm <= MOST_BY_PLANE_MM else None
+
+
+def film_focal_px(film_mm: float, width_px: int, height_px: int) -> float:
+    """Focal length in pixels of a 35 mm equivalent, which is by the diagonal [CIPA2005]."""
+    return film_mm * math.hypot(width_px, height_px) / FILM_DIAGONAL_MM
 
 
 def read_exif(path: Path) -> Exif:

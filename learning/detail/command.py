@@ -40,7 +40,7 @@ def detail_command(
 
     Args:
         maps: a processed folder, its atlas, maps of `infer`, or a fit's folder.
-        mesh: of the maps; registered_mesh.obj beside them where None.
+        mesh: of the maps; see `read_source` where None.
         out: folder to make; one of an earlier call is replaced, unless it has other files too.
         longest_mm: length of the waves of relief of which half is the mesh's.
         times: how often each triangle of the embossed mesh is split into four; 0 for no mesh.

@@ -13,12 +13,12 @@ from learning.errors import MapsError
 from learning.export.gltf import write_glb
 from learning.export.levels import coarser, on_level, require_levels, require_triangles
 from learning.export.maps import MAPS, write_maps
-from learning.export.morphs import morph_targets
+from learning.export.morphs import PHOTO, morph_targets
 from learning.export.obj import PICTURES, write_obj_material, write_pictures
 from learning.export.page import write_page
 from learning.export.pictures import Pictures
 from learning.export.recipe import readme
-from learning.export.source import Source, read_source
+from learning.export.source import Source, posed, read_source
 from learning.export.usd import require_usd, write_usd
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
@@ -60,12 +60,13 @@ def export_command(
     progress: ProgressCallback,
     replace: bool = False,
     levels: int = 0,
+    opens_with: str | None = None,
 ) -> dict[str, Any]:
     """Export a head; returns the facts.
 
     Args:
         maps: a processed folder, its atlas, or maps of `infer`.
-        mesh: of the maps; registered_mesh.obj beside them where None.
+        mesh: of the maps; see `read_source` where None.
         formats: of `FORMATS`, with commas.
         out: folder to make.
         template: whose expressions become morph targets, and whose exponents replace a missing map
@@ -74,6 +75,7 @@ def export_command(
         progress: of the formats.
         replace: an earlier export in `out`, unless it has other files too.
         levels: of less detail, each in a folder of its own.
+        opens_with: `PHOTO` for the expression of a fit's photograph; a neutral face where None.
 
     Raises:
         LightstageError: bad input; nothing is written then.
@@ -100,8 +102,12 @@ def export_command(
     if compare is not None:
         place = ProcessedFolder(source.folder.parent).registered_mesh if mesh is None else mesh
         other = read_source(compare, place, template)
+        if source.photo_mm is not None:
+            other = posed(other, -source.photo_mm)
         sides = {"inferred": (other, Pictures(other)), **sides}
     morphs, notes = _morphs(source, template, mesh, "gltf" in chosen)
+    if source.photo_mm is not None:
+        morphs[PHOTO] = source.photo_mm
     notes = [*source.notes, *notes]
     pictures: Pictures = list(sides.values())[-1][1]
     written: list[tuple[str, str, str]] = []
@@ -113,12 +119,12 @@ def export_command(
 
     finer, counts = source, []
     with atomic_folder(out, README, own=OWN) as folder:
-        _write_programs(folder, programs, source, pictures, morphs, step)
+        _write_programs(folder, programs, source, pictures, morphs, opens_with, step)
         if "maps" in chosen:
             written = list(write_maps(folder, source))
             step()
         if "page" in chosen:
-            write_page(folder / PAGE, sides)
+            write_page(folder / PAGE, sides, float(opens_with == PHOTO))
             step()
         for number in range(1, levels + 1):
             finer = coarser(finer)
@@ -126,9 +132,9 @@ def export_command(
             moved = {name: on_level(source, finer, offset) for name, offset in morphs.items()}
             level = folder / f"lod{number}"
             level.mkdir()
-            _write_programs(level, programs, finer, Pictures(finer), moved, step)
+            _write_programs(level, programs, finer, Pictures(finer), moved, opens_with, step)
         rough = "roughness" in source.maps
-        text = readme(chosen, source.size, written, notes, list(morphs), rough, counts)
+        text = readme(chosen, source.size, written, notes, list(morphs), rough, counts, opens_with)
         write_text(folder / README, text)
         size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     rows, columns = source.size
@@ -150,12 +156,16 @@ def _write_programs(
     source: Source,
     pictures: Pictures,
     morphs: dict[str, np.ndarray],
+    opens_with: str | None,
     step: Callable[[], None],
 ) -> None:
     """Write a head, or a level of it, for other programs: some of `PROGRAMS`; a step after each."""
     if "gltf" in programs:
-        write_glb(folder / "head.glb", source, pictures, morphs)
+        write_glb(folder / "head.glb", source, pictures, morphs, opens_with)
         step()
+    if opens_with in morphs:
+        # Formats without morph targets have the expression in the mesh.
+        source = posed(source, morphs[opens_with])
     if "obj" in programs or "usd" in programs:
         paths = write_pictures(folder, pictures)
     if "obj" in programs:
@@ -181,5 +191,5 @@ def _morphs(
     placed = read_head_pose(poses[0]) if poses else None
     targets, others = morph_targets(template, source.mesh, placed)
     if others:
-        return targets, [f"expressions without ARKit's name, left out: {', '.join(others)}"]
+        return targets, [f"numbered modes, which are no movements, left out: {', '.join(others)}"]
     return targets, [] if targets else ["the template has no expressions: no morph targets"]

@@ -136,7 +136,11 @@ class Buffer:
 
 
 def write_glb(
-    path: Path, source: Source, pictures: Pictures, morphs: dict[str, np.ndarray] | None = None
+    path: Path,
+    source: Source,
+    pictures: Pictures,
+    morphs: dict[str, np.ndarray] | None = None,
+    opens_with: str | None = None,
 ) -> Path:
     """Write a head as .glb, atomically.
 
@@ -145,12 +149,13 @@ def write_glb(
         source: mesh and maps.
         pictures: of the head.
         morphs: by name (n, 3) offsets of the mesh's vertices, mm.
+        opens_with: the morph that has weight 1; None for none.
 
     Returns:
         `path`.
     """
     buffer = Buffer()
-    mesh = _mesh(source, buffer, morphs or {})
+    mesh = _mesh(source, buffer, morphs or {}, opens_with)
     images: list[dict[str, Any]] = []
     material = _material(pictures, source, buffer, images)
     document = {
@@ -180,7 +185,9 @@ def write_glb(
     return path
 
 
-def _mesh(source: Source, buffer: Buffer, morphs: dict[str, np.ndarray]) -> dict[str, Any]:
+def _mesh(
+    source: Source, buffer: Buffer, morphs: dict[str, np.ndarray], opens_with: str | None
+) -> dict[str, Any]:
     corners = corners_of(source)
     assert source.mesh.uvs is not None  # read_source refuses a mesh without
     # glTF's v runs down.
@@ -204,7 +211,8 @@ def _mesh(source: Source, buffer: Buffer, morphs: dict[str, np.ndarray]) -> dict
             }
             for offsets in morphs.values()
         ]
-        found |= {"weights": [0.0] * len(morphs), "extras": {"targetNames": list(morphs)}}
+        weights = [float(name == opens_with) for name in morphs]
+        found |= {"weights": weights, "extras": {"targetNames": list(morphs)}}
     return found
 
 

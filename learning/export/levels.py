@@ -88,6 +88,7 @@ def coarser(source: Source) -> Source:
         frames=tangent_frames(mesh.vertices, triangles, mesh.uvs, corners, normals),
         raster=raster,
         nearest=nearest_covered(raster.face >= 0),
+        photo_mm=None,
         maps={
             name: _smaller(source.spread(image), rows, columns)
             for name, image in source.maps.items()

@@ -28,52 +28,63 @@ ARKIT = (*(f"{name}{side}" for name in SIDED for side in ("Left", "Right")), *WH
 
 HEAD_FRAME_DEG = 10.0
 """Registered heads in the head frame are turned by less against the template."""
-BOTH_SIDES = {
-    "smile": "mouthSmile",
-    "brow_furrow": "browDown",
-    "eyes_closed": "eyeBlink",
+OURS = {
+    "smile": ("mouthSmileLeft", "mouthSmileRight"),
+    "jaw_open": ("jawOpen",),
+    "brow_raise": ("browInnerUp", "browOuterUpLeft", "browOuterUpRight"),
+    "brow_furrow": ("browDownLeft", "browDownRight"),
+    "pucker": ("mouthPucker",),
+    "eyes_closed": ("eyeBlinkLeft", "eyeBlinkRight"),
 }
-"""Expressions of our own template that ARKit has for each side of its own."""
-BROWS = "brow_raise"
+"""Of each expression of our own template, ARKit's whose sum it is."""
 INNER_MM, OUTER_MM = 18.0, 42.0
 """From the middle: a raised brow is ARKit's inner one up to the first, its outer one beyond the
 second."""
-ALSO = {"pucker": "mouthPucker"}
-"""Expressions of our own template under another name."""
+PHOTO = "photo"
+"""Morph target from a neutral face to the expression of its photograph."""
 
 
-def arkit_targets(own: str, offsets: np.ndarray, x_mm: np.ndarray) -> dict[str, np.ndarray]:
-    """An expression as ARKit's, one or several whose sum it is; none where ARKit has nothing alike.
+def morph_names(own: str) -> tuple[str, ...]:
+    """Names of the morph targets whose sum an expression of a template is.
+
+    They are ARKit's where ARKit has the movement: eyeBlinkLeft of ICT's eyeBlink_L. The two halves
+    of what ARKit knows as a whole, such as browInnerUp_L and _R, have its name both. Others are in
+    the same style: noseDilatationLeft of MakeHuman's nose-left-dilatation. None for the numbered
+    modes of a basis, which are no movements.
+    """
+    if own in OURS:
+        return OURS[own]
+    if re.search(r"\d$", own):
+        return ()
+    side = re.search(r"[-_](left|right|L|R)(?=[-_]|$)", own)
+    sided = own if side is None else own[: side.start()] + own[side.end() :]
+    first, *others = re.split(r"[-_ ]+", sided)
+    camel = first[:1].lower() + first[1:] + "".join(word[:1].upper() + word[1:] for word in others)
+    end = "" if side is None else "Left" if side[1] in ("left", "L") else "Right"
+    return (camel if camel in WHOLE else camel + end,)
+
+
+def morph_parts(own: str, offsets: np.ndarray, x_mm: np.ndarray) -> dict[str, np.ndarray]:
+    """An expression as the morph targets of `morph_names`, whose sum it is.
 
     Args:
         own: name of the expression.
         offsets: (n, 3) of its vertices.
         x_mm: (n,) places of the vertices in the head frame, left of the head above 0.
     """
-    left = left_share(x_mm)[:, None]
-    if own in BOTH_SIDES:
-        name = BOTH_SIDES[own]
-        return {f"{name}Left": left * offsets, f"{name}Right": (1 - left) * offsets}
-    if own == BROWS:
-        outer = rising(np.abs(x_mm), INNER_MM, OUTER_MM)[:, None]
-        return {
-            "browInnerUp": (1 - outer) * offsets,
-            "browOuterUpLeft": outer * left * offsets,
-            "browOuterUpRight": outer * (1 - left) * offsets,
-        }
-    whole = arkit_name(ALSO.get(own, own))
-    return {} if whole is None else {whole: offsets}
-
-
-def arkit_name(own: str) -> str | None:
-    """ARKit's name of an expression, such as eyeBlinkLeft of eyeBlink_L; None where it has none.
-
-    The two halves of what ARKit knows as a whole, such as browInnerUp_L and _R, have its name both.
-    """
-    sided = re.sub("_L$", "Left", re.sub("_R$", "Right", own))
-    camel = re.sub("_([a-z])", lambda found: found[1].upper(), sided)
-    half = re.sub("(Left|Right)$", "", camel)
-    return camel if camel in ARKIT else half if half in WHOLE else None
+    names = morph_names(own)
+    if len(names) < 2:
+        return dict.fromkeys(names, offsets)
+    left, outer = left_share(x_mm), rising(np.abs(x_mm), INNER_MM, OUTER_MM)
+    parts = {}
+    for name in names:
+        share = np.ones(len(x_mm))
+        if "Inner" in name or "Outer" in name:
+            share = outer if "Outer" in name else 1 - outer
+        if name.endswith(("Left", "Right")):
+            share = share * (left if name.endswith("Left") else 1 - left)
+        parts[name] = share[:, None] * offsets
+    return parts
 
 
 def axes_of(mesh: Mesh, head: Mesh) -> np.ndarray:
@@ -90,7 +101,7 @@ def axes_of(mesh: Mesh, head: Mesh) -> np.ndarray:
 def morph_targets(
     template: Path, mesh: Mesh, head_from_mesh: np.ndarray | None
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """A template's expressions that ARKit has, turned to a mesh's axes.
+    """A template's expressions under the names of `morph_names`, turned to a mesh's axes.
 
     Args:
         template: folder.
@@ -98,7 +109,7 @@ def morph_targets(
         head_from_mesh: (3, 4), to the template's axes; None estimates it from the vertices.
 
     Returns:
-        By ARKit's name (n, 3) offsets in mm; and the names of expressions that ARKit lacks.
+        By name (n, 3) offsets in mm; and the names of expressions that are no movements.
 
     Raises:
         MapsError: the mesh is of another template.
@@ -121,7 +132,7 @@ def morph_targets(
     if found.modes is not None:
         x_mm = found.mesh.vertices[:, 0]
         for own, offsets in zip(found.modes.expression_names, found.modes.expression, strict=True):
-            parts = arkit_targets(own, np.asarray(offsets, float), x_mm)
+            parts = morph_parts(own, np.asarray(offsets, float), x_mm)
             if not parts:
                 others.append(own)
             for name, part in parts.items():

@@ -12,7 +12,7 @@ import numpy as np
 
 from learning.errors import MapsError
 from learning.export.encode import perceptual
-from learning.export.gltf import METRES, corners_of, unit_normals
+from learning.export.gltf import METRES, corners_of, turned_normals, unit_normals
 from learning.export.pictures import CONSTANT_ROUGHNESS, Pictures
 from learning.export.source import Source
 from learning.render.dielectric import INDEX
@@ -34,12 +34,15 @@ SAID = (
 )
 
 
-def write_page(path: Path, sides: dict[str, tuple[Source, Pictures]]) -> Path:
+def write_page(
+    path: Path, sides: dict[str, tuple[Source, Pictures]], photo_share: float = 0.0
+) -> Path:
     """Write a head's page, atomically.
 
     Args:
         path: the file.
         sides: one or two by name, of one mesh; of two a slider shows the first left of it.
+        photo_share: of its photograph's expression, with which a fitted head's page opens.
 
     Returns:
         `path`.
@@ -52,6 +55,7 @@ def write_page(path: Path, sides: dict[str, tuple[Source, Pictures]]) -> Path:
         "ior": INDEX,
         "said": SAID,
         "mesh": _mesh(source),
+        "photo": photo_share,
         "sides": [_side(name, *side) for name, side in sides.items()],
     }
     # No text of the data may end the script that holds it.
@@ -92,6 +96,9 @@ def _mesh(source: Source) -> dict[str, str]:
         "tangent": corners.tangent,
         "uv": source.mesh.uvs[corners.uv] * [1, -1] + [0, 1],
     }
+    if source.photo_mm is not None:
+        fields["moved"] = METRES * source.photo_mm[corners.vertex]
+        fields["turned"] = turned_normals(source, source.photo_mm)[corners.vertex]
     packed = {name: _base64(values.astype("<f4").tobytes()) for name, values in fields.items()}
     return {**packed, "index": _base64(corners.triangles.astype("<u4").tobytes())}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from learning.export.encode import SPECULAR_WHITE
+from learning.export.morphs import PHOTO
 from learning.export.pictures import CONSTANT_ROUGHNESS
 from learning.render.dielectric import F0, INDEX
 
@@ -51,6 +52,7 @@ def readme(
     morphs: Sequence[str],
     has_roughness: bool,
     levels: Sequence[int] = (),
+    opens_with: str | None = None,
 ) -> str:
     """The text, for what was written.
 
@@ -62,6 +64,7 @@ def readme(
         morphs: names of the morph targets.
         has_roughness: whether there is a map of it.
         levels: triangles of each level of detail.
+        opens_with: the morph target that is shown at first; None for none.
     """
     lines = [
         f"A captured or inferred head; maps of {size[0]} rows x {size[1]} columns.",
@@ -77,6 +80,13 @@ def readme(
         )
         what = ", ".join(morphs) if morphs else "none"
         lines.append(f"             Morph targets: {what}.")
+    if PHOTO in morphs:
+        lines.append(
+            f"The face is neutral; morph target `{PHOTO}` has the photograph's expression."
+            if opens_with is None
+            else f"The face has the photograph's expression: morph target `{PHOTO}` of the neutral "
+            "face in glTF and on the page, the mesh's own in OBJ and USD."
+        )
     if "obj" in formats:
         lines.append("head.obj     mm, the template's quads; head.mtl; textures/*.png, 8 bits.")
     if "usd" in formats:

@@ -22,10 +22,18 @@ from lightstage.formats.mesh import Mesh, read_mesh, vertex_normals
 from lightstage.formats.processed import MAPS, ProcessedFolder
 from lightstage.formats.template import load_template
 from processing.atlas.raster import Raster, rasterise
-from processing.atlas.tangents import TangentFrames, tangent_frames, to_tangent_space
+from processing.atlas.tangents import (
+    TangentFrames,
+    from_tangent_space,
+    tangent_frames,
+    to_tangent_space,
+)
 
-NEEDED = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")
+NORMALS = ("diffuse_normal", "specular_normal")
+NEEDED = ("diffuse_albedo", "specular_albedo", *NORMALS)
 OPTIONAL = ("roughness", "ambient_occlusion", "confidence")
+NO_NORMAL = 1e-6
+"""Squared length below which a texel of a map has no normal."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,6 +50,7 @@ class Source:
         folder: of the maps.
         maps: by name, (rows, columns) or (rows, columns, 3) float16, finite.
         notes: what a user should know.
+        photo_mm: (n, 3) from the mesh to its photograph's expression; None of a captured head.
     """
 
     mesh: Mesh
@@ -52,6 +61,7 @@ class Source:
     folder: Path
     maps: dict[str, np.ndarray]
     notes: tuple[str, ...] = ()
+    photo_mm: np.ndarray | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -79,7 +89,7 @@ class Source:
         found = to_tangent_space(
             world, self.raster, texels, self.mesh.triangles(), self.normals, self.frames
         )
-        found[np.einsum("kc,kc->k", world, world) < 1e-6] = (0, 0, 1)
+        found[np.einsum("kc,kc->k", world, world) < NO_NORMAL] = (0, 0, 1)
         out = np.empty((self.nearest.size, 3), np.float32)
         out[texels] = found
         return out[self.nearest.ravel()].reshape(*self.nearest.shape, 3)
@@ -108,8 +118,8 @@ def read_source(given: Path, mesh: Path | None = None, template: Path | None = N
     Args:
         given: a processed folder, a fit or an avatar (its atlas is taken), an atlas, or maps of
             `infer`.
-        mesh: with the maps' UV, in the axes of their normals; registered_mesh.obj beside the maps
-            where None.
+        mesh: with the maps' UV, in the axes of their normals; where None registered_mesh.obj beside
+            the maps, without the expression of its photograph where neutral_mesh.obj is there, too.
         template: whose exponents give the roughness where no map does.
 
     Raises:
@@ -118,7 +128,8 @@ def read_source(given: Path, mesh: Path | None = None, template: Path | None = N
         FormatError: a file that cannot be read, or that has NaN.
     """
     folder = maps_folder(given)
-    place = ProcessedFolder(folder.parent).registered_mesh if mesh is None else mesh
+    beside = ProcessedFolder(folder.parent)
+    place = beside.registered_mesh if mesh is None else mesh
     if not place.exists():
         raise MapsError(
             place,
@@ -152,7 +163,53 @@ def read_source(given: Path, mesh: Path | None = None, template: Path | None = N
     frames = tangent_frames(shape.vertices, triangles, shape.uvs, corners, normals)
     maps = {name: image for name, image in maps.items() if name != "position"}
     nearest = nearest_covered(raster.face >= 0)
-    return Source(shape, normals, frames, raster, nearest, folder, maps, tuple(notes))
+    source = Source(shape, normals, frames, raster, nearest, folder, maps, tuple(notes))
+    if mesh is not None or not beside.neutral_mesh.exists():
+        return source
+    photo_mm = shape.vertices - _neutral_of(shape, beside.neutral_mesh)
+    return dataclasses.replace(posed(source, -photo_mm), photo_mm=photo_mm)
+
+
+def posed(source: Source, offsets: np.ndarray) -> Source:
+    """A head with another expression; its normals follow the surface.
+
+    The maps' normals stay as they are in each texel's frame, which turns with the triangles.
+
+    Args:
+        source: the head.
+        offsets: (n, 3) of its vertices, mm.
+    """
+    mesh = source.mesh.with_vertices(source.mesh.vertices + offsets)
+    triangles = mesh.triangles()
+    assert mesh.uvs is not None  # read_source refuses a mesh without
+    normals = vertex_normals(mesh.vertices, triangles)
+    frames = tangent_frames(mesh.vertices, triangles, mesh.uvs, mesh.triangle_uvs(), normals)
+    texels = source.raster.texels()
+    maps = dict(source.maps)
+    for name in NORMALS:
+        flat = source.maps[name].reshape(-1, 3).copy()
+        before = flat[texels].astype(np.float32)
+        there = np.einsum("kc,kc->k", before, before) >= NO_NORMAL
+        fine = to_tangent_space(
+            before, source.raster, texels, triangles, source.normals, source.frames
+        )
+        turned = from_tangent_space(fine, source.raster, texels, triangles, normals, frames)
+        flat[texels] = np.where(there[:, None], turned, 0)
+        maps[name] = flat.reshape(source.maps[name].shape)
+    return dataclasses.replace(source, mesh=mesh, normals=normals, frames=frames, maps=maps)
+
+
+def _neutral_of(mesh: Mesh, where: Path) -> np.ndarray:
+    """(n, 3) vertices of a mesh's neutral one."""
+    found = read_mesh(where).vertices
+    if found.shape != mesh.vertices.shape:
+        raise MapsError(
+            where,
+            found=f"{len(found)} vertices",
+            expected=f"those of the registered mesh beside it, {len(mesh.vertices)}",
+            hint="Run `fit` again, or name the mesh of the maps by --mesh.",
+        )
+    return found
 
 
 def m_of(exponent: np.ndarray) -> np.ndarray:

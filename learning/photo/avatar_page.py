@@ -1,22 +1,29 @@
-"""The page of an avatar: links to its parts, and its relief."""
+"""The page of an avatar: photograph and head, what is guessed, links to its parts, its relief."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
 from learning.detail.emboss import embossed
-from learning.export.source import maps_folder
+from learning.export.source import Source, maps_folder, read_source
+from learning.photo.in_place import around_head, cut, neutral_sides, photo_camera, photographed
+from learning.photo.picture import read_photograph
+from lightstage.exif import film_focal_px
 from lightstage.formats.exr import read_exr
 from lightstage.formats.files import read_json
 from lightstage.formats.mesh import read_mesh
 from lightstage.formats.processed import ProcessedFolder
-from processing.report import Link, Marked, Picture, Section, Table, write_report
+from processing.report import Link, Marked, Picture, Section, Table, display, write_report
 from processing.sides import lit_sides
 
+BESIDE_PX = (480, 600)
+"""Width and height of the photograph, and of the head beside it."""
+TURNED_PX = (320, 400)
 SIDE_PX = 320
 HEIGHT_PX = 640
 SHOWN_TIMES = 1
@@ -38,13 +45,16 @@ FILES = {
 """What the parts of an avatar may hold, and what it is."""
 
 
-def write_avatar_page(path: Path, parts: Sequence[str], maps: Path | None = None) -> Path:
+def write_avatar_page(
+    path: Path, parts: Sequence[str], maps: Path | None = None, photo: Path | None = None
+) -> Path:
     """Write the page, atomically; returns `path`.
 
     Args:
         path: in the avatar's folder.
         parts: folders that are up to date; others are not shown.
         maps: of a captured head, where there is no fit.
+        photo: the first photograph of a fitted head.
     """
     out = path.parent
     there: list[list[str | float | int | Link | Marked]] = [
@@ -52,18 +62,112 @@ def write_avatar_page(path: Path, parts: Sequence[str], maps: Path | None = None
         for file, what in FILES.items()
         if file.split("/")[0] in parts and (out / file).is_file()
     ]
+    sections = []
     if maps is None:
         fit = read_json(out / "fit" / "fit.json")
         of = ", ".join(photograph["name"] for photograph in fit["photographs"])
-        notes, mesh = fit["notes"], out / "fit" / "registered_mesh.obj"
+        notes, mesh = fit["notes"], ProcessedFolder(out / "fit").neutral_mesh
+        assert photo is not None  # a fit has photographs
+        sections += _fitted(out / "fit", fit, photo)
     else:
         of, notes = f"the captured head {maps.name}", []
         mesh = ProcessedFolder(maps_folder(maps).parent).registered_mesh
     table = Table(["part", "file", "MB"], there, f"Of {of}.")
-    sections = [Section("Parts", [table, *notes])]
+    sections.append(Section("Parts", [table, *notes]))
     if "detail" in parts:
         sections.append(_relief(out, mesh))
     return write_report(path, "A head that leaves the program", sections)
+
+
+def _fitted(folder: Path, fit: dict[str, Any], photo: Path) -> list[Section]:
+    """The photograph beside the head in its place, the neutral head, and what is guessed."""
+    taken = fit["photographs"][0]
+    camera = photo_camera(taken)
+    mesh = read_mesh(ProcessedFolder(folder).registered_mesh)
+    part = around_head(camera, mesh.vertices, BESIDE_PX)
+    shown = [cut(read_photograph(photo).rgb_linear, camera, part), photographed(folder, part)]
+    light = "under the light that was found in it"
+    if fit["lamps"] is None:
+        light = "with the photograph's own light, as none was found that explains it"
+    source = read_source(folder)
+    return [
+        Section(
+            "The photograph and the head",
+            [
+                Picture(
+                    display(np.hstack(shown)),
+                    f"Left: {taken['name']}. Right: the head from the same place, {light}. Eyes, "
+                    "mouth and outline should be where the photograph has them, light and colours "
+                    "alike.",
+                )
+            ],
+        ),
+        Section(
+            "The neutral head",
+            [
+                Picture(
+                    display(neutral_sides(source, TURNED_PX)),
+                    "Without the photograph's expression, which is its morph target, in the light "
+                    "of a studio.",
+                )
+            ],
+        ),
+        Section("What is guessed", [Table(["what", "how it was found"], guesses(fit, source))]),
+    ]
+
+
+def guesses(fit: dict[str, Any], source: Source) -> list[list[str]]:
+    """What a head has that its photographs do not show for certain, a line each.
+
+    Args:
+        fit: contents of fit.json.
+        source: maps and mesh of the fit.
+    """
+    covered = source.covered
+    confidence = source.maps.get("confidence")
+    filled = 0.0 if confidence is None else float((confidence[covered] <= 0).mean())
+    tone = fit.get("tone")
+    found = [
+        [
+            "tone of the skin",
+            "one photograph does not separate it from the light's strength and colour"
+            if tone is None
+            else f"typology angle {tone['ita_deg']:.0f} degrees, uncertain by "
+            f"{tone['span_deg']:.0f}: a photograph does not separate it from the light",
+        ],
+        [
+            "what was not seen",
+            f"{100 * filled:.0f} % of the texels: the skin that was seen, continued and mirrored",
+        ],
+        ["hair", "colour on the skull, without volume; where it was not seen, continued"],
+        ["eyes", "painted on the lids' surface; no eyeballs"],
+        [
+            "teeth, inside of the mouth",
+            "none: lips and what a photograph shows between them are one surface",
+        ],
+        [
+            "shape",
+            f"standard deviation {fit['shape_deviation_mm']:.1f} mm over the face; depth from in "
+            "front the most",
+        ],
+    ]
+    if fit["lamps"] is None:
+        found.append(["light", "none was found that explains the photograph: skin and light mix"])
+    for taken in fit["photographs"]:
+        if not taken["focal_told"]:
+            unit = film_focal_px(1.0, taken["width_px"], taken["height_px"])
+            found.append(
+                [
+                    f"lens of {taken['name']}",
+                    f"fitted, {taken['focal_px'] / unit:.0f} mm as a 35 mm equivalent, as the file "
+                    "does not state it",
+                ]
+            )
+        if taken["black_and_white"]:
+            found.append(
+                [f"colour of {taken['name']}", "the mean person's: the photograph has none"]
+            )
+    return found
 
 
 def _relief(out: Path, shape: Path) -> Section:

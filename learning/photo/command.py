@@ -17,6 +17,7 @@ from learning.checkpoint import (
     whole_face_of,
 )
 from learning.errors import MapsError
+from learning.export.morphs import morph_names
 from learning.limits import configured
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
@@ -30,7 +31,7 @@ from learning.photo.shape_fit import Photograph, Places, detector_places
 from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
-from lightstage.faces import detect_faces
+from lightstage.faces import SURE, Face, detect_faces, small_faces
 from lightstage.faces.schemes import FACE_MESH, IBUG, IBUG_PAIRS, INNER_LIPS, ibug68, seen_points
 from lightstage.formats.environment import write_lights
 from lightstage.formats.exr import write_exr
@@ -53,8 +54,8 @@ MAPS = "atlas"
 OWN = (FIT, PAGE, TEXTURE, LIGHT, MESH, NEUTRAL, f"{MAPS}/*.exr")
 """What a fit's folder holds."""
 MOST_PHOTOGRAPHS = 32
-SURE = 0.9
-"""A detector that is less sure of a face is mentioned."""
+LEAST_PRESENCE = 0.1
+"""Confidence of the detector from which a face is taken where there is no surer one: a profile."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,7 +100,11 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
     network = whole_face_of(request.checkpoint)
     template = load_template(request.template)
     photographs, places, notes = read_all(request, template)
-    photographs = [_with_colour(each, network, notes) for each in photographs]
+    colourless = [has_no_colour(each.rgb_linear) for each in photographs]
+    photographs = [
+        _coloured(each, network, notes) if grey else each
+        for each, grey in zip(photographs, colourless, strict=True)
+    ]
     meso, about_meso = load_mesostructure(shipped_mesostructure())
     fitted = fit_head(
         photographs,
@@ -111,7 +116,7 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
         progress,
         load_super_resolution(shipped_super_resolution())[0] if config.super_resolution else None,
     )
-    facts = _facts(photographs, fitted, config, notes, request.template)
+    facts = _facts(photographs, colourless, fitted, config, notes, request.template)
     with atomic_folder(request.out, FIT, own=OWN) as folder:
         write_fitted(folder, fitted)
         write_json(folder / FIT, {"schema": SCHEMA, **facts})
@@ -148,10 +153,8 @@ def read_all(request: FitRequest, template: Template) -> tuple[list[Photograph],
     return photographs, marks.places, notes
 
 
-def _with_colour(photograph: Photograph, network: WholeFaceNetwork, notes: list[str]) -> Photograph:
-    """A photograph; one in black and white has the mean person's colour, and a note states it."""
-    if not has_no_colour(photograph.rgb_linear):
-        return photograph
+def _coloured(photograph: Photograph, network: WholeFaceNetwork, notes: list[str]) -> Photograph:
+    """A black-and-white photograph in the mean person's colour; a note states it."""
     notes.append(
         f"{photograph.name} is black and white: the colour of its skin is the mean person's, not "
         "the photograph's"
@@ -241,7 +244,7 @@ class Marks:
 
     def _detected(self, path: Path, rgb_linear: np.ndarray, notes: list[str]) -> np.ndarray:
         shown = np.round(255 * srgb_from_linear(rgb_linear)).astype(np.uint8)
-        faces = detect_faces(shown)
+        faces = _faces(shown)
         if len(faces) < self._face:
             found = counted(len(faces), "face") if faces else "no face"
             raise MapsError(
@@ -266,6 +269,14 @@ class Marks:
         return seen_points(face, FACE_MESH)
 
 
+def _faces(shown: np.ndarray) -> list[Face]:
+    """Faces of a photograph, the largest first: sure ones, however small, before doubtful ones."""
+    faces = detect_faces(shown)
+    if not any(face.presence >= SURE for face in faces):
+        faces = small_faces(shown) or faces
+    return faces or detect_faces(shown, LEAST_PRESENCE)
+
+
 def write_fitted(folder: Path, fitted: FittedHead) -> None:
     """Write the meshes, the texture, the maps and the light into a folder that exists."""
     shape = fitted.shape
@@ -283,6 +294,7 @@ def write_fitted(folder: Path, fitted: FittedHead) -> None:
 
 def _facts(
     photographs: list[Photograph],
+    colourless: list[bool],
     fitted: FittedHead,
     config: FitConfig,
     notes: list[str],
@@ -298,10 +310,15 @@ def _facts(
             "height_px": camera.height_px,
             "focal_px": camera.fx_px,
             "focal_told": photograph.focal_px is not None,
+            "black_and_white": colourless[index],
             "cam_from_head": camera.cam_from_world.tolist(),
             "landmark_px": found.residual_px,
             "landmarks_used": float((found.used > 0.25).mean()),
-            "expression": dict(zip(names, found.expression.tolist(), strict=True)),
+            "expression": {
+                name: weight
+                for own, weight in zip(names, found.expression.tolist(), strict=True)
+                for name in morph_names(own) or (own,)
+            },
             "texture_percent": float(100 * (fitted.source == index).mean()),
         }
         for index, (photograph, camera, found) in enumerate(

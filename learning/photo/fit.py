@@ -13,6 +13,7 @@ import dataclasses
 import math
 
 import numpy as np
+import torch
 
 from learning.errors import MapsError
 from learning.infer import Inferred
@@ -49,6 +50,7 @@ from learning.whole.gaps import continued
 from learning.whole.infer import infer_whole_face
 from learning.whole.light import SEARCH_SECONDS
 from learning.whole.refine import OF_TRUE_SHAPES, OwnSkin
+from learning.whole.texture_layout import FARTHEST_MM, apart_mm
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
@@ -67,6 +69,9 @@ MOST_ASIDE_DEG = 15.0
 """How far off straight in front a photograph fills the texels of eyes, at most. Seven photographs
 from in front gained 1.4 dB of albedo, four from 20 and 35 degrees to the side, where the shape's
 own texels show more white, lost 6."""
+DOUBT = 4.0
+"""Landmarks are so much less certain where they gave a head that people do not have, as those of a
+face of 50 pixels do."""
 DARK = 0.01
 """Added to both before a photograph is compared with its model."""
 
@@ -130,9 +135,9 @@ def fit_head(
         MapsError: see `fit_shape`; a first photograph that shows too little of the face.
     """
     steps = len(photographs) + 3
-    shape = fit_shape(photographs, template, places, config, network=network)
-    progress(1, steps)
     notes: list[str] = []
+    shape = _likely_shape(photographs, template, places, network, config, notes)
+    progress(1, steps)
     several = len(photographs) > 1
     looked: list[_Looked] = []
     for index, photograph in enumerate(photographs):
@@ -219,6 +224,39 @@ def fit_head(
         fitted = _with_all_rows(fitted, shown, first, config.rows)
     progress(steps, steps)
     return fitted
+
+
+def _likely_shape(
+    photographs: list[Photograph],
+    template: Template,
+    places: Places,
+    network: WholeFaceNetwork,
+    config: FitConfig,
+    notes: list[str],
+) -> Shape:
+    """The person's shape, by what gives one that people have: pixels, else landmarks."""
+    shape = fit_shape(photographs, template, places, config, network=network)
+    alone = dataclasses.replace(config, pixel_rounds=0)
+    doubted = dataclasses.replace(alone, landmark_percent=DOUBT * config.landmark_percent)
+    note = []
+    for instead, what in (
+        (alone, "the landmarks alone gave its shape"),
+        (doubted, "the mean head's shape, changed little, was taken"),
+    ):
+        apart = _from_people_mm(shape.meshes[0], network)
+        if apart <= FARTHEST_MM:
+            break
+        note = [f"the photograph gave a head {apart:.0f} mm from people's in the mean: {what}"]
+        shape = fit_shape(photographs, template, places, instead, shape.model)
+    notes += note
+    return shape
+
+
+def _from_people_mm(mesh: Mesh, network: WholeFaceNetwork) -> float:
+    """Mean distance of a head's texels from the mean person's."""
+    raster = rasterise(mesh, *network.mean_position_mm.shape[2:])
+    place = torch.from_numpy(raster.interpolate(mesh.vertices)).float()
+    return apart_mm(place.permute(2, 0, 1)[None], network.mean_position_mm)
 
 
 def _with_all_rows(fitted: FittedHead, shown: list[Shown], first: _Texels, rows: int) -> FittedHead:

@@ -10,17 +10,13 @@ import numpy as np
 
 from learning.errors import MapsError
 from lightstage.developed import read_developed
-from lightstage.exif import read_exif
+from lightstage.exif import FILM_RANGE_MM, film_focal_px, read_exif
 from lightstage.formats.exr import read_exr
 
-FILM_MM = 36.0
-"""Width of the film to which a 35 mm equivalent refers."""
 LARGEST_PX = 6000
 """Longer side above which a photograph is made smaller: a texture shows no more."""
 SMALLEST_PX = 64
 """Shorter side of a photograph at least."""
-FOCAL_RANGE = (0.3, 30.0)
-"""Focal length over the longer side, from a fisheye to a telescope."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,28 +65,17 @@ def read_photograph(path: Path, film_mm: float | None = None) -> PhotoFile:
     if scale < 1:
         size = (round(width * scale), round(height * scale))
         rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-    focal = _focal(path, longer, film_mm)
+    focal = _focal(path, width, height, film_mm)
     return PhotoFile(
         np.ascontiguousarray(rgb, np.float32), None if focal is None else focal * scale, scale
     )
 
 
-def _focal(path: Path, longer_px: int, film_mm: float | None) -> float | None:
+def _focal(path: Path, width_px: int, height_px: int, film_mm: float | None) -> float | None:
     """Focal length in pixels of the file as it is; None where nothing states it."""
-    if film_mm is not None:
-        least, most = (FILM_MM * share for share in FOCAL_RANGE)
-        if not least <= film_mm <= most:
-            raise MapsError(
-                "--focal-35mm", found=f"{film_mm:g}", expected=f"{least:g} to {most:g} mm"
-            )
-        return film_mm / FILM_MM * longer_px
-    exif = read_exif(path)
-    focal = None
-    if exif.focal_35mm_mm:
-        focal = exif.focal_35mm_mm / FILM_MM * longer_px
-    elif exif.focal_mm and exif.focal_plane_px_per_mm and exif.longer_px:
-        # Of the camera's own picture: a program that shrank it left the fields as they were.
-        focal = exif.focal_mm * exif.focal_plane_px_per_mm * longer_px / exif.longer_px
-    if focal is None or not FOCAL_RANGE[0] <= focal / longer_px <= FOCAL_RANGE[1]:
-        return None
-    return float(focal)
+    if film_mm is None:
+        return read_exif(path).focal_px(width_px, height_px)
+    least, most = FILM_RANGE_MM
+    if not least <= film_mm <= most:
+        raise MapsError("--focal-35mm", found=f"{film_mm:g}", expected=f"{least:g} to {most:g} mm")
+    return film_focal_px(film_mm, width_px, height_px)

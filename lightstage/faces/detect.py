@@ -21,13 +21,17 @@ LEAST_SCORE = 0.5
 ONE_FACE = 0.3
 """Detections that overlap by more than this share are one face."""
 LEAST_PRESENCE = 0.5
-"""The least confidence of the points' network in a face's last crop."""
+"""The least confidence of the points' network in a face's last crop, where no other is given."""
 TURNS_DEG = (0.0, 45.0, -45.0, 90.0, -90.0)
 """How the small copy is turned, one after the other, until a face is found."""
 PASSES = 3
 """How often a face is seen, the first time in the detector's crop."""
 SMALL_PX = 512
 """Longer side of the small copy, which is turned for detection."""
+PARTS = (4, 8)
+"""How often a part goes into the longer side of a picture that is searched for small faces."""
+SURE = 0.9
+"""Confidence from which there is surely a face."""
 LARGEST = 1 << 15
 """Pixels a side; larger pictures cannot be resampled."""
 LEAST_SIZE_PX = 8.0
@@ -53,13 +57,14 @@ class Face:
     box_px: tuple[float, float, float, float]
 
 
-def detect_faces(image_srgb: np.ndarray) -> list[Face]:
+def detect_faces(image_srgb: np.ndarray, least_presence: float = LEAST_PRESENCE) -> list[Face]:
     """Find the faces of a picture.
 
     Faces from a tenth of the picture's height up, turned by up to 45 degrees in the picture.
 
     Args:
         image_srgb: (h, w, 3) uint8, red green blue.
+        least_presence: the least confidence in a face; profiles have little.
 
     Returns:
         Largest first; none where there is no face.
@@ -75,11 +80,53 @@ def detect_faces(image_srgb: np.ndarray) -> list[Face]:
         for found in _turned(small, turn_deg):
             crop = face_mesh.crop_of_found(found)
             seen = _settled(image_srgb, Crop(crop.centre_px / factor, *_over(crop, factor)))
-            if seen is not None:
+            if seen is not None and seen.presence >= least_presence:
                 faces.append(_face(seen))
         if faces:
             break
     return _apart(faces)
+
+
+def small_faces(image_srgb: np.ndarray) -> list[Face]:
+    """Find faces that are small in a large picture: in overlapping parts of it, in all its pixels.
+
+    Faces from an eightieth of the picture's height up, upright or nearly.
+
+    Args:
+        image_srgb: (h, w, 3) uint8, red green blue.
+
+    Returns:
+        Largest first, those alone of which the network is sure; none where there is none.
+
+    Raises:
+        FaceError: see `detect_faces`.
+    """
+    _require_picture(image_srgb)
+    for count in PARTS:
+        side = -(-max(image_srgb.shape[:2]) // count)
+        faces = []
+        for row, column in _corners(image_srgb.shape[:2], side):
+            part = np.ascontiguousarray(image_srgb[row : row + side, column : column + side])
+            small = _small(part)
+            factor = np.array(small.shape[1::-1]) / part.shape[1::-1]
+            for found in blazeface.find(small, LEAST_SCORE, ONE_FACE):
+                crop = face_mesh.crop_of_found(found)
+                centre = crop.centre_px / factor + [column, row]
+                seen = _settled(image_srgb, Crop(centre, *_over(crop, factor)))
+                if seen is not None and seen.presence >= SURE:
+                    faces.append(_face(seen))
+        if faces:
+            return _apart(faces)
+    return []
+
+
+def _corners(size: tuple[int, int], side: int) -> list[tuple[int, int]]:
+    """Rows and columns where square parts of a picture begin; each overlaps the next by half."""
+    rows, columns = (
+        sorted({*range(0, max(length - side, 0), max(side // 2, 1)), max(length - side, 0)})
+        for length in size
+    )
+    return [(row, column) for row in rows for column in columns]
 
 
 def _require_picture(image: np.ndarray) -> None:
@@ -133,7 +180,7 @@ def _turned(small: np.ndarray, turn_deg: float) -> list[Found]:
 
 
 def _settled(image: np.ndarray, crop: Crop) -> Seen | None:
-    """A face's points from a crop of its own, or None where it turns out to be none."""
+    """A face's points from a crop of its own, or None where they end in none."""
     for _ in range(PASSES):
         if not LEAST_SIZE_PX <= crop.size_px <= LARGEST:
             return None
@@ -141,7 +188,7 @@ def _settled(image: np.ndarray, crop: Crop) -> Seen | None:
         if not np.isfinite(seen.points_px).all():
             return None
         crop = face_mesh.crop_of_points(seen.points_px)
-    return seen if seen.presence >= LEAST_PRESENCE else None
+    return seen
 
 
 def _face(seen: Seen) -> Face:

@@ -79,6 +79,11 @@ class ProcessedFolder:
         return self.root / "registered_mesh.obj"
 
     @property
+    def neutral_mesh(self) -> Path:
+        """The registered mesh without an expression, mm; a fit of photographs has one."""
+        return self.root / "neutral_mesh.obj"
+
+    @property
     def head_pose(self) -> Path:
         """JSON ``{"schema": HEAD_SCHEMA, "head_from_world": [[3 x 4]]}``, of registration."""
         return self.root / "head_from_world.json"

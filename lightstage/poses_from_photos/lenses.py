@@ -15,7 +15,7 @@ from lightstage.poses_from_photos.pictures import GreyPicture
 
 SCHEMA = "lightstage.lenses/1"
 FULL_FRAME_MM = 36.0
-"""Longer side of the film for which focal lengths are given."""
+"""Longer side of a sensor that lenses.json does not give."""
 LEAST_MM, MOST_MM = 0.5, 5000.0
 """Limits of cameras' focal lengths and sensors."""
 BY_FILE, BY_EXIF, OPEN = "file", "EXIF", "found"
@@ -174,19 +174,10 @@ def shared_lenses(
     for names in alike.values():
         exif = exifs[names[0]]
         known = bool(exif.focal_mm or exif.focal_35mm_mm)
-        focal = exif_focal_px(pictures[names[0]], exif)
+        picture = pictures[names[0]]
+        focal = exif.focal_px(picture.width_px, picture.height_px)
         lenses.append(Lens(tuple(names), focal, BY_EXIF if known else OPEN))
     return lenses
-
-
-def exif_focal_px(picture: GreyPicture, exif: Exif) -> float | None:
-    """A photograph's own focal length, in its pixels; None where it has none."""
-    if exif.focal_mm and exif.focal_plane_px_per_mm:
-        return exif.focal_mm * exif.focal_plane_px_per_mm
-    if exif.focal_35mm_mm:
-        longer = max(picture.width_px, picture.height_px)
-        return exif.focal_35mm_mm * longer / FULL_FRAME_MM
-    return None
 
 
 def _size(picture: GreyPicture) -> tuple[int, int, int]:

@@ -114,6 +114,37 @@ def test_focal_lengths_and_the_sensor_s_pixels_are_read(tmp_path, unit, px_per_m
     assert found.focal_plane_px_per_mm == pytest.approx(px_per_mm)
 
 
+PHONE = {"focal_mm": 6.86, "focal_35mm_mm": 26.0, "longer_px": 4032}
+PORTRAIT = {"focal_mm": 85.0, "focal_plane_px_per_mm": 6000 / 36}
+
+
+@pytest.mark.parametrize(
+    ("fields", "size", "focal_px"),
+    [
+        # By the diagonal: of 4:3 the longer side would give 3.7 % less.
+        (PHONE, (4032, 3024), 26 * 5040 / 43.2666),
+        (PHONE, (3024, 4032), 26 * 5040 / 43.2666),
+        (PHONE, (800, 600), 26 * 1000 / 43.2666),
+        (PORTRAIT | {"longer_px": 6000}, (6000, 4000), 85 / 36 * 6000),
+        # Shrunk by a program that left all fields as they were.
+        (PORTRAIT | {"longer_px": 6000}, (1200, 800), 85 / 36 * 1200),
+        # It wrote the new size and kept the resolution: a lens of 425 mm.
+        (PORTRAIT | {"longer_px": 1200}, (1200, 800), None),
+        (PORTRAIT | {"longer_px": 1200, "focal_35mm_mm": 85.0}, (1200, 800), 85 / 36 * 1200),
+        # Sensors of 75 mm and 2.4 mm, and no size.
+        (PORTRAIT | {"longer_px": 12500}, (1200, 800), None),
+        ({"focal_mm": 4.0, "focal_plane_px_per_mm": 500.0, "longer_px": 1200}, (1200, 900), None),
+        (PORTRAIT, (1200, 800), None),
+        ({"focal_35mm_mm": 3.0}, (1200, 800), None),
+        ({"focal_mm": 50.0}, (1200, 800), None),
+        ({}, (1200, 800), None),
+    ],
+)
+def test_a_focal_length_in_pixels_is_the_lens_s_or_none(fields, size, focal_px):
+    found = Exif(**fields).focal_px(*size)
+    assert found == (None if focal_px is None else pytest.approx(focal_px, rel=1e-5))
+
+
 def test_a_dng_by_another_hand_tells_only_what_stands_in_it(tmp_path):
     file = io.BytesIO()
     tags = [(50735, 2, 0, "77", True), (315, 2, 0, "A. Person", True)]

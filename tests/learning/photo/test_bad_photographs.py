@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -14,8 +15,10 @@ import tifffile
 
 from learning.checkpoint import load_whole_face, shipped_weights
 from learning.photo import command
+from learning.photo import fit as fitting
 from learning.photo import picture as reading
-from learning.photo.command import FitRequest, Marks, _with_colour
+from learning.photo.command import FitRequest, Marks, _coloured
+from learning.photo.config import FitConfig
 from learning.photo.grey import coloured, has_no_colour
 from learning.photo.picture import read_photograph
 from learning.photo.shape_fit import Photograph
@@ -135,12 +138,10 @@ def test_black_and_white_gets_the_mean_persons_colour_and_a_note(tmp_path: Path)
     assert (found[..., 0] > found[..., 2]).all()  # skin is red more than blue
     notes: list[str] = []
     points = np.zeros((68, 2))
-    kept = _with_colour(Photograph("old.jpg", grey, points), network, notes)
+    kept = _coloured(Photograph("old.jpg", grey, points), network, notes)
     assert "old.jpg is black and white" in notes[0]
     np.testing.assert_array_equal(kept.rgb_linear, found)
-    same = Photograph("new.jpg", found, points)
-    assert _with_colour(same, network, notes) is same
-    assert len(notes) == 1
+    assert not has_no_colour(found)
 
 
 def test_of_two_faces_the_larger_is_taken_and_a_third_is_none(
@@ -189,6 +190,71 @@ def test_landmarks_of_a_file_go_with_a_photograph_that_is_made_smaller(tmp_path:
     np.testing.assert_allclose(found, points * 6000 / 6600)
 
 
+def doubtful(size: float, presence: float) -> Face:
+    return Face(np.full((468, 2), size), np.zeros(468), presence, (0.0, 0.0, size, size))
+
+
+@pytest.mark.parametrize(
+    ("whole", "in_parts", "leniently", "taken"),
+    [
+        ([0.95], [], [], "whole"),
+        ([0.6], [0.99], [], "in_parts"),
+        ([0.6], [], [], "whole"),
+        ([], [], [0.2], "leniently"),
+    ],
+)
+def test_a_sure_face_however_small_is_taken_before_a_doubtful_one(
+    monkeypatch: pytest.MonkeyPatch,
+    whole: list[float],
+    in_parts: list[float],
+    leniently: list[float],
+    taken: str,
+) -> None:
+    found = {
+        name: [doubtful(size, presence) for presence in presences]
+        for size, (name, presences) in enumerate(
+            {"whole": whole, "in_parts": in_parts, "leniently": leniently}.items(), 1
+        )
+    }
+    monkeypatch.setattr(
+        command, "detect_faces", lambda _, *least: found["leniently" if least else "whole"]
+    )
+    monkeypatch.setattr(command, "small_faces", lambda _: found["in_parts"])
+    assert command._faces(np.zeros((9, 9, 3), np.uint8)) == found[taken]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "asked", "note"),
+    [
+        ((1.0,), [(3, 12.0)], ""),
+        ((1.6, 1.0), [(3, 12.0), (0, 12.0)], "the landmarks alone gave its shape"),
+        ((1.6, 1.5, 1.0), [(3, 12.0), (0, 12.0), (0, 48.0)], "the mean head's shape"),
+    ],
+)
+def test_a_photograph_that_gives_no_persons_head_is_trusted_less(
+    monkeypatch: pytest.MonkeyPatch,
+    sizes: tuple[float, ...],
+    asked: list[tuple[int, float]],
+    note: str,
+) -> None:
+    template, network = load_template(default_template_path()), load_whole_face(shipped_weights())
+    called = []
+
+    def sized(*given: Any, **_: Any) -> Any:
+        called.append((given[3].pixel_rounds, given[3].landmark_percent))
+        grown = template.mesh.with_vertices(sizes[len(called) - 1] * template.mesh.vertices)
+        return SimpleNamespace(meshes=(grown,), model=None)
+
+    monkeypatch.setattr(fitting, "fit_shape", sized)
+    notes: list[str] = []
+    places: Any = None
+    found = fitting._likely_shape([], template, places, network[0], FitConfig(), notes)
+    assert called == asked
+    np.testing.assert_array_equal(found.meshes[0].vertices, template.mesh.vertices)
+    assert len(notes) == bool(note)
+    assert note in "".join(notes)
+
+
 def test_two_photographs_of_one_name_do_not_share_landmarks(tmp_path: Path) -> None:
     points = np.random.default_rng(0).uniform(0, SIZE, (68, 2))
     marks = stated(tmp_path, ["x"], points)
@@ -201,20 +267,16 @@ def test_two_photographs_of_one_name_do_not_share_landmarks(tmp_path: Path) -> N
         marks.of(second, read_photograph(second), [])
 
 
-@pytest.mark.parametrize(
-    ("exif", "share"),
-    [
-        (Exif(focal_mm=50.0, focal_plane_px_per_mm=100.0, longer_px=3600), 50 / 36),
-        (Exif(focal_mm=50.0, focal_plane_px_per_mm=100.0), None),
-        (Exif(focal_35mm_mm=72.0), 2.0),
-        (Exif(focal_mm=50.0), None),
-    ],
-)
-def test_a_focal_length_is_that_of_the_camera_though_a_program_shrank_the_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, exif: Exif, share: float | None
+def test_the_focal_length_that_a_file_states_is_in_the_pixels_that_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "photo.png"
     cv2.imwrite(str(path), picture())
-    monkeypatch.setattr(reading, "read_exif", lambda _: exif)
-    found = read_photograph(path).focal_px
-    assert found == (None if share is None else pytest.approx(share * (SIZE + 10)))
+    monkeypatch.setattr(reading, "read_exif", lambda _: Exif(focal_35mm_mm=72.0))
+    monkeypatch.setattr(reading, "LARGEST_PX", SIZE // 2)
+    file = read_photograph(path)
+    height, width = cv2.imread(str(path)).shape[:2]
+    assert file.scale == SIZE // 2 / max(height, width)
+    share = 72 / np.hypot(36, 24)
+    assert file.focal_px == pytest.approx(share * np.hypot(height, width) * file.scale)
+    assert read_photograph(path, 36.0).focal_px == pytest.approx(file.focal_px / 2)

@@ -23,6 +23,7 @@ from learning.photo.shape_fit import Places, detector_places
 from learning.photo.unwrap import unwrap
 from learning.render.uv import rasterise
 from lightstage.commands import quiet
+from lightstage.exif import FILM_DIAGONAL_MM
 from lightstage.formats.environment import read_lights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import others_below, write_json
@@ -31,11 +32,11 @@ from lightstage.formats.mesh import read_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import Template, default_template_path, save_template
 from tests.learning.export.called import printed, refusal
-from tests.learning.photo.scene import FOCAL_PX, HEIGHT_PX, KEY, Shot
+from tests.learning.photo.scene import FOCAL_PX, HEIGHT_PX, KEY, WIDTH_PX, Shot
 from tests.programs import run_program
 
 ROWS = 192
-FILM_MM = 36 * FOCAL_PX / HEIGHT_PX
+FILM_MM = FILM_DIAGONAL_MM * FOCAL_PX / np.hypot(WIDTH_PX, HEIGHT_PX)
 
 
 def called(*words: str | Path) -> tuple[int, dict[str, Any]]:
@@ -138,6 +139,15 @@ def test_what_is_up_to_date_is_skipped_and_a_changed_option_is_not(
     page = (out / "avatar.html").read_text()
     assert 'href="export/head.obj"' in page
     assert "head.glb" not in page
+    assert page.index("The photograph and the head") < page.index("The neutral head")
+    assert "What is guessed" in page
+    shapes = [read_obj(out / "fit" / f"{name}_mesh.obj") for name in ("neutral", "registered")]
+    for shape, words_more in zip(shapes, ([], ["--expression", "photo"]), strict=True):
+        code, facts = called(*line, *words_more)
+        assert code == 0
+        assert {"fit", "detail"} <= set(facts["skipped"])
+        exported = read_obj(out / "export" / "head.obj").vertices
+        np.testing.assert_allclose(exported, shape.vertices, atol=1e-3)
 
 
 def test_a_fit_that_is_killed_before_it_is_recorded_is_made_again(
@@ -381,6 +391,7 @@ def test_a_captured_heads_maps_are_an_avatar_without_a_fit(
         ([*line, captured.registered_mesh], "found both"),
         ([word for word in line if word not in ("--maps", root)], "found neither"),
         ([*line, "--until", "fit"], "detail or export"),
+        ([*line, "--expression", "photo"], "--expression: found given with --maps"),
         ([*line, "--rows", "768", "--face", "2"], "--face, --rows: found given with --maps"),
         ([*line, "--landmarks", tmp_path / "none.json"], "--landmarks: found given with --maps"),
     ):
@@ -397,6 +408,7 @@ def test_an_avatar_refuses_before_it_writes_anything(shot: Shot, tmp_path: Path)
         return str(stated["error"])
 
     assert "found a folder, expected a photograph" in refusal(photo=tmp_path)
+    assert "found 'smile', expected neutral or photo" in refusal("--expression", "smile")
     assert "--until" in refusal("--until", "page")
     assert "--format" in refusal("--format", "fbx")
     assert "--rows: found 200, expected a multiple of 3" in refusal("--rows", "200")

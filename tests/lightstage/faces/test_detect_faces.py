@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lightstage.errors import FaceError
-from lightstage.faces import detect_faces, weights
+from lightstage.faces import detect_faces, small_faces, weights
 from tests.documents import ROOT
 
 EYES = (33, 263)
@@ -140,3 +140,17 @@ def test_other_weights_than_the_tested_ones_are_refused(person, monkeypatch, tmp
     (package / "face_detection_back.tflite").write_bytes(b"TFL3")
     with pytest.raises(FaceError, match="other bytes than those that were tested"):
         detect_faces(person)
+
+
+def test_a_face_of_a_fiftieth_of_the_picture_is_found_in_its_parts(person):
+    size, to = (3000, 2000), np.array([2210.0, 640.0])
+    (alone,) = detect_faces(person)
+    centre = np.mean(np.reshape(alone.box_px, (2, 2)), axis=0)
+    matrix = similarity(0.5, 0.0, centre, to)
+    large = moved(person, matrix, size)
+    assert detect_faces(large) == []
+    (face,) = small_faces(large)
+    expected = alone.points_px @ matrix[:, :2].T + matrix[:, 2]
+    off = np.linalg.norm(face.points_px - expected, axis=1).mean()
+    assert off < 0.1 * eye_distance(expected)
+    assert small_faces(np.full((400, 600, 3), 120, np.uint8)) == []

@@ -22,7 +22,7 @@ from lightstage.formats.template import default_template_path, load_template
 from lightstage.poses_from_photos import solving
 from lightstage.poses_from_photos.cameras import FoundCameras, find_cameras
 from lightstage.poses_from_photos.lengths import Length
-from lightstage.poses_from_photos.lenses import exif_focal_px, shared_lenses
+from lightstage.poses_from_photos.lenses import shared_lenses
 from lightstage.poses_from_photos.pictures import GreyPicture, read_grey
 from lightstage.poses_from_photos.points import read_clicks
 from lightstage.poses_from_photos.world import turn_between, turned_by_landmarks
@@ -222,11 +222,8 @@ def test_what_ends_colmap_is_reported_in_one_message(
 
 def test_a_focal_length_is_begun_with_what_exif_says() -> None:
     picture = GreyPicture(np.zeros((100, 150), np.uint8), np.zeros((100, 150), bool), 4, 600, 400)
-    assert exif_focal_px(picture, Exif()) is None
-    assert exif_focal_px(picture, Exif(focal_35mm_mm=72.0)) == 1200.0
-    both = Exif(focal_mm=50.0, focal_plane_px_per_mm=30.0, focal_35mm_mm=72.0)
-    assert exif_focal_px(picture, both) == 1500.0
-    (lens,) = shared_lenses({"a": picture}, {"a": both})
+    exif = Exif(focal_mm=50.0, focal_plane_px_per_mm=30.0, longer_px=600)
+    (lens,) = shared_lenses({"a": picture}, {"a": exif})
     values = {"cameras": ("a",), "focal_px": 375.0, "open": False, "centre_px": [75.0, 50.0]}
     assert solving._job(lens, picture) == values
 
