@@ -24,6 +24,7 @@ from learning.photo.config import FitConfig
 from learning.photo.enlarge import Enlarged, enlarged, texels_a_pixel
 from learning.photo.eye_texels import eye_texels, with_eyes
 from learning.photo.foreground import foreground
+from learning.photo.fringe import Forehead
 from learning.photo.large_texture import Enlarging, Shown, brighter, finest, rows_of_search
 from learning.photo.own_skin import PhotographedSkin
 from learning.photo.own_skin import Places as SkinPlaces
@@ -355,8 +356,12 @@ def _look(
             # A hat or glasses may keep every light from explaining the photograph.
             normal = coarse.raster.normals(mesh)
             other |= in_no_light(texture, found.maps["diffuse_albedo"], normal, skin, keep)
+        if skin is shown:
+            hair = Forehead(template, coarse.raster).fringe(
+                found.maps["diffuse_albedo"], shown, other
+            )
         if coarse.hair is not None:
-            hair |= own_hair(other, coarse.hair & shown, above_mouth(template, coarse.raster))
+            hair = hair | own_hair(other, coarse.hair & shown, above_mouth(template, coarse.raster))
         before, skin = skin, skin & ~other
         settled = bool((before != skin).mean() < 1e-3)
         if settled:

@@ -41,9 +41,11 @@ HALF_AT = 1.5
 MARK = 0.35
 """Difference in lightness, natural logarithm, of which half is a mark for certain: errors of light
 are smaller."""
-SMOOTH_DOUBT, TINT_DOUBT, FINE_DOUBT = 1.0, 0.3, 0.05
-"""Variance of the error that light makes in smooth differences of lightness, in those of tint, and
-in what is finer or a feature, of the variance that `trusted` expects."""
+BRIGHT_FEATURES = 0.5
+"""Part of a feature that is brighter than skin that is believed."""
+SMOOTH_DOUBT, TINT_DOUBT, FINE_DOUBT, FEATURES_DOUBT = 1.0, 0.3, 0.1, 0.02
+"""Variance of the error that light makes in smooth differences of lightness, in those of tint, in
+what is finer, and in features, of the variance that `trusted` expects."""
 EYES_BLUR = 1 / 48
 """Standard deviation over which the light around an eye is a mean, of a texture's rows."""
 UNKNOWN = 3.0
@@ -125,17 +127,14 @@ class PhotographedSkin:
             base += (1 - hair)[..., None] * (enlarged(skin_log, *skin.shape) - base)
         if places.eyes is not None:
             known |= places.eyes & taken.lit
-            # Eyes are taken as they are in the photograph, and lit as the skin around them is.
-            sigma = EYES_BLUR * len(skin)
-            weight = np.maximum(blurred(skin.astype(np.float32), sigma), 1e-3)[..., None]
-            around = blurred((taken.irradiance * skin[..., None]).astype(np.float32), sigma)
-            here = np.log(
-                np.maximum(around / weight, DARK_LIGHT) / np.maximum(taken.irradiance, DARK_LIGHT)
-            )
-            wide = np.where(places.eyes[..., None], wide + here, wide)
+            eyes = _lit_as_around(taken, skin) + gain
+            taken = dataclasses.replace(taken, trust=np.where(places.eyes, 1, taken.trust))
 
         def albedo(unlit: np.ndarray) -> np.ndarray:
-            return self._albedo(np.log(unlit) - wide, base, known, hair, taken)
+            own = np.log(unlit) - wide
+            if places.eyes is not None:
+                own = np.where(places.eyes[..., None], eyes, own)
+            return self._albedo(own, base, known, hair, taken)
 
         return Own(known, known & (hair <= 0.5), albedo, known.astype(np.float32), np.exp(-gain))
 
@@ -194,13 +193,16 @@ class PhotographedSkin:
         coarse, _ = at_network_size(own, covered, size)
         trust = at_network_size(taken.trust * covered, covered, size)[0][..., None]
         smooth = coarse.mean(axis=2, keepdims=True)
-        mark = trust * smooth**2 / (trust * smooth**2 + MARK**2)
+        # Marks are darker than skin; what is brighter is light, unless it is a grey beard or brow.
+        dark = np.minimum(smooth, 0)
+        mark = trust * dark**2 / (trust * dark**2 + MARK**2)
         parts = (smooth, SMOOTH_DOUBT), (coarse - smooth, TINT_DOUBT)
         taken_off = sum((1 - mark) * (1 - _share(trust, doubt)) * part for part, doubt in parts)
         # What is finer and the features are not what light and shape make.
-        fine = _share(taken.trust, FINE_DOUBT)[..., None]
         soft = blurred(self.places.features.astype(np.float32), FEATURES_BLUR * len(known))
-        own = fine * (own - (1 - soft[..., None]) * enlarged(taken_off, *shape))
+        soft = soft * np.where(enlarged(smooth[..., 0], *shape) > 0, BRIGHT_FEATURES, 1)
+        believed = _share(taken.trust, FINE_DOUBT * (1 - soft) + FEATURES_DOUBT * soft)
+        own = believed[..., None] * (own - (1 - soft[..., None]) * enlarged(taken_off, *shape))
         eyes = self.places.eyes
         if eyes is not None and sides:
             # Of two eyes of which one alone is shown, the other is like it.
@@ -214,7 +216,25 @@ class PhotographedSkin:
         return albedo
 
 
-def _share(trust: np.ndarray, doubt: float) -> np.ndarray:
+def _lit_as_around(taken: TakenOut, skin: np.ndarray) -> np.ndarray:
+    """Take a texture over the light that the skin around each texel has.
+
+    Eyes are deeper in the shade of a fitted shape's lids than the person's are.
+
+    Args:
+        taken: the texture and its light.
+        skin: (rows, columns) bool, where the light is known.
+
+    Returns:
+        (rows, columns, 3) logarithm.
+    """
+    sigma = EYES_BLUR * len(skin)
+    weight = np.maximum(blurred(skin.astype(np.float32), sigma), 1e-3)[..., None]
+    around = blurred((taken.irradiance * skin[..., None]).astype(np.float32), sigma) / weight
+    return np.log(np.maximum(taken.texture, DARKEST) / np.maximum(around, DARK_LIGHT))
+
+
+def _share(trust: np.ndarray, doubt: float | np.ndarray) -> np.ndarray:
     """Share of a part of the texture over its light that is believed.
 
     Args:

@@ -21,17 +21,17 @@ GREY = np.array([[1 / 3, 1 / 3, 1 / 3], [1, -1, 0], [0, -1, 1]])
 DISPLAY_WHITE = 0.8
 """What a white surface in the key light has in a photograph that somebody found well exposed, of
 display white: it is neither clipped nor dull."""
-EXPOSED = 0.4, 0.12, 0.15
+EXPOSED = 0.5, 0.12, 0.15
 """Standard deviations of the logarithm of that, in the terms of `GREY`: exposure, and the white
 balance of a photograph that somebody found right."""
 WHITE_OF_EYE = np.array([0.60, 0.53, 0.50])
 """Linear albedo of the white of an eye, whose vessels and lens make it warmer than grey."""
 WHITE_SEEN = 0.25, 0.12, 0.15
 """Its standard deviations among people and by its measurement."""
-SHADED = 0.7
+SHADED = 0.5
 """Standard deviation of the logarithm by which lids and brow shade the whites: they show how strong
 the light is at least."""
-NETWORK_OFF = 0.5, 0.12, 0.15
+NETWORK_OFF = 0.4, 0.12, 0.15
 """Standard deviations of the network's tone, which no camera's metering was in the training of."""
 TINT_OFF = 0.10, 0.12
 """Standard deviations of red and of blue over green among people of one lightness: blood, bile and

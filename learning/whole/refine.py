@@ -69,6 +69,7 @@ class TakenOut:
     """A texture over the light that was found in it.
 
     Attributes:
+        texture: (rows, columns, 3) linear, with its light.
         unlit: (rows, columns, 3) texture over its light, linear.
         known: (rows, columns) bool, where that shows the skin.
         lit: (rows, columns) bool, where it is lit enough to show whatever is there.
@@ -82,6 +83,7 @@ class TakenOut:
         sides: see `learning.whole.gaps.without_gaps`.
     """
 
+    texture: np.ndarray
     unlit: np.ndarray
     known: np.ndarray
     lit: np.ndarray
@@ -277,6 +279,7 @@ def refine(
         texture, photographed, answer.specular, low_albedo, own.normals_off
     )
     taken = TakenOut(
+        texture,
         unlit,
         known,
         lit,
