@@ -30,12 +30,6 @@ class FitConfig:
         expression_spread: standard deviation of an expression's strength; 1 is its full one. Less
             than none, such as eyes that are wider than open, has a third of it.
         refine_seconds: for the last search of the light and the skin under it, at most.
-        marks_share: part of what the photograph shows beside the skins that people have, some
-            millimetres wide and more, that is taken for the person's own: moles, stubble, brows.
-            The rest is taken for light that the fitted shape did not explain.
-        detail_share: the same of all that is finer.
-        normals_off: standard deviation of the fitted shape's normals, radians along each axis. Both
-            shares are less where light grazes the skin, and the more so the larger it is.
         rounds: of light, skin and mask in turns.
         pixel_rounds: of the shape from pixels and outlines after the landmarks; 0 for landmarks
             alone.
@@ -63,9 +57,6 @@ class FitConfig:
     asymmetry: float = 0.25
     expression_spread: float = 0.6
     refine_seconds: float = 20.0
-    marks_share: float = 0.4
-    detail_share: float = 0.75
-    normals_off: float = 0.15
     rounds: int = 2
     pixel_rounds: int = 3
     pixel_deviation: float = 0.2

@@ -39,6 +39,7 @@ from learning.photo.skin_mask import (
     in_no_light,
     no_skin,
     open_mouth,
+    other_tint,
     own_hair,
 )
 from learning.photo.tone import Tone, skin_colours
@@ -159,7 +160,7 @@ def fit_head(
     # The light is the first photograph's. All that this one shows goes to the network, which knows
     # the outline of what one photograph shows: without the texels that others show better, the
     # tone was off.
-    network_sees = together.first & first.skin
+    network_sees = together.first & first.skin & ~first.own_hair
     own_eyes = _own_eyes(texels, together.source)
     skin = PhotographedSkin(
         SkinPlaces(first.features, own_eyes, first.hair, ~first.skin),
@@ -298,7 +299,7 @@ class _Looked:
         camera: of it.
         person: (h, w) bool, its pixels that show the person.
         other: (rows, columns) bool, texels that it shows and that are no skin.
-        hair: (rows, columns) bool, hair beyond where most people have it.
+        hair: (rows, columns) bool, hair beyond where most people have it, and a cap.
         masked: share of these in the face.
         found: skin and light; None where they were not asked for.
     """
@@ -346,22 +347,24 @@ def _look(
             hint="Take a photograph from farther in front.",
         )
     keep, hair = coarse.features, nothing
-    skin, found = shown, None
     texture = coarse.unwrapped.texture
+    skin, found = shown & ~other_tint(texture, shown, template, coarse.raster), None
     settled = False
-    for _ in range(rounds - 1):
+    for index_of_round in range(rounds - 1):
         found = coarse.inferred(network, texture, skin, SEARCH_SECONDS, camera, None)
         other = no_skin(found.maps["diffuse_albedo"], network, skin, keep)
         if found.light is None:
             # A hat or glasses may keep every light from explaining the photograph.
             normal = coarse.raster.normals(mesh)
             other |= in_no_light(texture, found.maps["diffuse_albedo"], normal, skin, keep)
-        if skin is shown:
+        if index_of_round == 0:
+            # Later there is no hair left in it.
             hair = Forehead(template, coarse.raster).fringe(
                 found.maps["diffuse_albedo"], shown, other
             )
         if coarse.hair is not None:
-            hair = hair | own_hair(other, coarse.hair & shown, above_mouth(template, coarse.raster))
+            above = above_mouth(template, coarse.raster)
+            hair = hair | own_hair(shown & (other | ~skin), coarse.hair & shown, above)
         before, skin = skin, skin & ~other
         settled = bool((before != skin).mean() < 1e-3)
         if settled:
@@ -446,8 +449,9 @@ class _Texels:
         self.features = features(template, self.raster) | beard_texels(template, self.raster)
         self.read = ~around_eyes(template, self.raster)
         self.hair = hair_texels(template, self.raster)
+        self.own_hair = self._resized(looked.hair)
         if self.hair is not None:
-            self.hair |= self._resized(looked.hair)
+            self.hair |= self.own_hair
         self.skin = ~self._resized(looked.other)
         self.eyes: np.ndarray | None = None
         openings_px = looked.photograph.eyes_px

@@ -30,6 +30,10 @@ BROWS = slice(17, 27)
 """In iBUG's order."""
 NOSE_BASE, CHIN, EARS, MOUTH = 33, 8, (0, 16), slice(48, 68)
 BELOW_CHIN_MM = 15.0
+BEFORE_EARS_MM = 30.0
+OTHER_TINT = 0.6
+"""Difference of red or blue over green, natural logarithm, from the face's: lights of two colours
+make half of it."""
 LEAST_OPEN, LIPS_BORDER = 0.06, 0.02
 """Height of an open mouth, and width of the lips' edge that teeth shine through, of its width."""
 BROW_MM = 14.0
@@ -152,6 +156,31 @@ def no_skin(
         far |= _over_millimetres(part - np.median(part[seen]), seen) > most
     far &= seen & ~keep
     return np.asarray(spread(far, SPREAD) & ~keep)
+
+
+def other_tint(
+    texture: np.ndarray, seen: np.ndarray, template: Template, raster: UvRaster
+) -> np.ndarray:
+    """(rows, columns) bool, places around the face whose tint is far from the face's: a cap, cloth.
+
+    Light on a face is of few colours, and a cap that is taken for skin would decide the light.
+
+    Args:
+        texture: (rows, columns, 3) linear, with its light.
+        seen: (rows, columns) bool.
+        template: whose texels these are.
+        raster: of the texture.
+    """
+    marks = template.mesh.vertices[template.landmarks]
+    place = raster.interpolate(template.mesh.vertices)
+    between = (place[..., 1] < marks[BROWS, 1].max()) & (place[..., 1] > marks[CHIN, 1])
+    face = between & (place[..., 2] > marks[list(EARS), 2].mean() + BEFORE_EARS_MM)
+    log = np.log(np.maximum(np.nan_to_num(texture), DARKEST))
+    tint = mean_around(log[..., [0, 2]] - log[..., 1:2], seen)
+    if (seen & face).sum() < LEAST_TEXELS:
+        return np.zeros_like(seen)
+    far = np.abs(tint - np.median(tint[seen & face], axis=0)).max(axis=2) > OTHER_TINT
+    return np.asarray(seen & ~face & far)
 
 
 def in_no_light(

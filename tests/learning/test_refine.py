@@ -9,7 +9,6 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
 
@@ -20,7 +19,6 @@ from learning.maps import load_head
 from learning.relight import lit_texture, shadows_of
 from learning.whole import refine
 from learning.whole.infer import infer_whole_face
-from learning.whole.scalp import hair_share, skin_over_scalp
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder
@@ -187,160 +185,35 @@ def test_a_mark_is_skin_and_a_slope_over_the_face_is_light() -> None:
     assert not nothing.any()
 
 
-def test_shares_of_nothing_leave_the_skins_that_people_have_and_whole_texels_stay() -> None:
+def test_shares_of_nothing_leave_the_skins_that_people_have() -> None:
     rng = np.random.default_rng(3)
-    low = np.full((12, 8, 3), 0.3)
     unlit = 0.3 * np.exp(0.3 * rng.standard_normal((48, 32, 3))).clip(0.2, 3)
-    everywhere = np.ones((48, 32), bool)
-    eyes = np.zeros((48, 32), bool)
-    eyes[10:16, 8:14] = True
-
-    def albedo(own: refine.OwnShares) -> np.ndarray:
-        return refine._with_marks(low, unlit, everywhere, everywhere, False, own, 1.0)
-
-    found = albedo(refine.OwnShares(0.0, 0.0, eyes))
-    np.testing.assert_allclose(found[~eyes], 0.3, rtol=1e-6)
-    np.testing.assert_allclose(found[eyes], unlit[eyes], rtol=1e-5)
+    found = refine.with_shares(unlit, grey(unlit), refine.OwnShares(0.0, 0.0))
+    np.testing.assert_allclose(found, 0.3, rtol=1e-6)
     # With all of its detail the texture differs by what is coarse alone.
-    all_detail = np.log(albedo(refine.OwnShares(0.0, 1.0)) / unlit)
-    assert all_detail.std() < 0.5 * np.log(unlit / 0.3).std()
+    all_detail = refine.with_shares(unlit, grey(unlit), refine.OwnShares(0.0, 1.0))
+    assert np.log(all_detail / unlit).std() < 0.5 * np.log(unlit / 0.3).std()
+
+
+def grey(unlit: np.ndarray, trust: float | np.ndarray = 1.0) -> refine.TakenOut:
+    """A texture over its light, whose skin is expected to be even."""
+    everywhere, nothing = np.ones(unlit.shape[:2], bool), np.zeros(0)
+    share = np.broadcast_to(np.float32(trust), everywhere.shape)
+    low = np.full((12, 8, 3), 0.3)
+    lit = (everywhere, everywhere, share, everywhere)
+    return refine.TakenOut(unlit, unlit, *lit, np.ones_like(unlit), low, nothing, nothing, False)
 
 
 def test_what_is_not_trusted_is_left_to_the_skins_that_people_have() -> None:
     rng = np.random.default_rng(4)
-    low, everywhere = np.full((12, 8, 3), 0.3), np.ones((48, 32), bool)
     unlit = 0.3 * np.exp(0.3 * rng.standard_normal((48, 32, 3))).clip(0.2, 3)
     trust = np.zeros((48, 32), np.float32)
     trust[:, :16] = 1
 
     def beside(trust: np.ndarray | float) -> np.ndarray:
-        own = refine.OwnShares(0.5, 1.0)
-        found = refine._with_marks(low, unlit, everywhere, everywhere, False, own, trust)
+        found = refine.with_shares(unlit, grey(unlit, trust), refine.OwnShares(0.5, 1.0))
         return np.asarray(np.log(found / 0.3))
 
     assert np.abs(beside(0.0)).max() < 1e-6
     assert beside(trust)[:, 20:].std() < 0.1 * beside(1.0)[:, 20:].std()
     np.testing.assert_allclose(beside(trust)[:, :12], beside(1.0)[:, :12], atol=0.05)
-
-
-def test_hair_keeps_its_colour_is_continued_in_hair_alone_and_goes_over_into_skin() -> None:
-    low = np.full((24, 16, 3), 0.2)
-    unlit = np.full((96, 64, 3), 0.2)
-    hair = np.zeros((96, 64), bool)
-    hair[:48] = True
-    unlit[:48] = 0.7, 0.5, 0.2
-    known = np.ones((96, 64), bool)
-    known[:24] = known[:, 44:] = False
-    found = with_marks_and_hair(low, unlit, known, hair)
-    # Shown hair and hair that nothing shows have one colour, which skin below has not.
-    np.testing.assert_allclose(found[4:44, 8:56], np.broadcast_to(unlit[30, 30], (40, 48, 3)), 0.02)
-    np.testing.assert_allclose(found[56:90, 8:56], 0.2, rtol=0.05)
-    # The hairline is the photograph's where that shows it.
-    np.testing.assert_allclose(found[47:49, 30, 0], (0.7, 0.2), rtol=0.1)
-    assert 0.5 > found[47, 52, 0] > found[48, 52, 0] > 0.25
-    # Where no hair is shown, it is the mean person's.
-    bare = with_marks_and_hair(low, unlit, known & ~hair, hair)
-    np.testing.assert_allclose(bare[:40, 8:56], 0.2, rtol=0.02)
-
-
-def test_the_skin_below_a_high_hairline_is_no_lighter_or_darker_than_the_forehead() -> None:
-    # Most people's hair begins at row 48, this person's at row 36. The light was found a little too
-    # weak, so that what the texture shows over it is too light.
-    low, hair = most_people()
-    unlit = np.full((96, 64, 3), 0.4 * 1.2)
-    unlit[:36] = 0.03
-    found = with_marks_and_hair(low, unlit, np.ones_like(hair), hair, trust=0.2)
-    forehead = found[75:90, 8:56].mean()
-    np.testing.assert_allclose(found[39:75, 8:56], forehead, rtol=0.04)
-    np.testing.assert_allclose(found[4:33, 8:56], 0.03, rtol=0.02)
-
-
-def test_a_skull_in_a_light_that_is_a_little_off_is_skin_and_so_is_what_nothing_shows() -> None:
-    low, hair = most_people()
-    unlit = np.full((96, 64, 3), 0.4)
-    unlit[:24, :32], unlit[:24, 32:] = 0.25, 0.5
-    known = np.ones_like(hair)
-    known[:12] = False
-    found = with_marks_and_hair(low, unlit, known, hair, trust=0.15)
-    assert np.log(found[:, 8:56] / 0.4) == pytest.approx(0, abs=0.07)
-
-
-def most_people() -> tuple[np.ndarray, np.ndarray]:
-    """A skin with dark hair in its upper half, and where that is, four times as large."""
-    low = np.full((24, 16, 3), 0.4)
-    low[:12] = 0.05
-    hair = np.zeros((96, 64), bool)
-    hair[:48] = True
-    return low, hair
-
-
-def with_marks_and_hair(
-    low: np.ndarray, unlit: np.ndarray, known: np.ndarray, hair: np.ndarray, trust: float = 1.0
-) -> np.ndarray:
-    own, everywhere = blond(hair), np.ones_like(known)
-    skin_log = skin_over_scalp(low, hair, everywhere)
-    share = hair_share(unlit, known, hair, skin_log, np.full(known.shape, trust))
-    scalp = refine.Scalp(share, skin_log)
-    return refine._with_marks(low, unlit, known, everywhere, False, own, trust, scalp)
-
-
-def blond(hair: np.ndarray) -> refine.OwnShares:
-    return refine.OwnShares(0.2, 0.75, hair=hair)
-
-
-def test_a_bald_head_is_skin_where_most_people_have_hair(people: list[ProcessedFolder]) -> None:
-    network, _ = load_whole_face(shipped_weights())
-    mesh, texture, true, skin = photographed(people[0])
-    hair = ~skin & (true.mean(axis=2) < 0.5 * np.median(true[skin].mean(axis=1)))
-    hair = cv2.erode(hair.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    assert hair.sum() > 500
-    skull = np.median(true[skin], axis=0)
-    ratio = np.where(hair[..., None], skull / np.maximum(true, 1e-3), 1)
-    bald = (ratio * texture).astype(np.float32)
-
-    def shade(own: refine.OwnShares) -> float:
-        found = infer_whole_face(
-            network, bald, mesh, refine_seconds=600, network_sees=~hair, own=own
-        )
-        albedo = found.maps["diffuse_albedo"]
-        return float(np.median(albedo[hair]) / np.median(albedo[skin]))
-
-    assert shade(refine.OwnShares(0.2, 0.75, hair=hair)) == pytest.approx(1, abs=0.2)
-    assert shade(refine.OwnShares(0.2, 0.75)) < 0.75
-
-
-def test_an_eye_that_is_not_shown_is_like_the_other_one() -> None:
-    low = np.full((24, 16, 3), 0.4)
-    unlit = np.full((96, 64, 3), 0.4)
-    eye = np.zeros((96, 64), bool)
-    eye[40:48, 10:20] = True
-    unlit[eye] = 0.1, 0.05, 0.02
-    known = ~eye[:, ::-1]
-    own = refine.OwnShares(0.2, 0.75, eye)
-    found = refine._with_marks(low, unlit, known, np.ones_like(known), True, own, 1.0)
-    np.testing.assert_allclose(found[:, ::-1][eye], found[eye], rtol=1e-5)
-    # Where the columns in reverse are no other side, nothing is known of it.
-    alone = refine._with_marks(low, unlit, known, np.ones_like(known), False, own, 1.0)
-    assert alone[:, ::-1][eye].mean() > 0.3
-
-
-def test_a_dark_iris_keeps_its_own_colour_where_eyes_are_taken_whole(
-    people: list[ProcessedFolder], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    network, _ = load_whole_face(shipped_weights())
-    mesh, texture, _, skin = photographed(people[0])
-    rows, columns = np.nonzero(skin)
-    iris = np.zeros_like(skin)
-    middle = int(np.median(rows)), int(np.median(columns))
-    iris[middle[0] - 4 : middle[0] + 5, middle[1] - 4 : middle[1] + 5] = True
-    iris &= skin
-    brown = np.where(iris[..., None], 0.05 * texture, texture).astype(np.float32)
-    own = dataclasses.replace(refine.OF_TRUE_SHAPES, whole=iris)
-    # As beside an edge of light, where what is far darker than skin is no skin.
-    monkeypatch.setattr(refine, "misplaced", lambda *_: iris)
-    light, dark = (
-        infer_whole_face(network, each, mesh, refine_seconds=600, network_sees=~iris, own=own)
-        for each in (texture, brown)
-    )
-    ratio = dark.maps["diffuse_albedo"][iris] / light.maps["diffuse_albedo"][iris]
-    assert np.median(ratio) < 0.1
