@@ -39,7 +39,7 @@ def population(
 ) -> np.ndarray:
     """Principal components of people whose sliders are drawn independently.
 
-    A slider's standard deviation is `DEVIATION` of the way to its end; each of the six people is as
+    A slider's standard deviation is `DEVIATION` of the way to its end; each of the people is as
     likely as the others. What moves the whole head, as if it were rigid, is taken out.
 
     Args:

@@ -2,10 +2,11 @@
 
 Distances and arcs in mm. [Zhuang2005] measured 3,997 users of respirators in the USA, 18 to 66
 years old and weighted to the country's groups, with callipers and tape; [Gordon2014] 6,068 soldiers
-of 17 to 58 years; [Farkas2005] North American whites of 18 to 25. Figures of the first and the last
-were entered without the papers at hand. Where the soldiers' public files have the same measure,
-they are as far from these as the two surveys differ: men's chin arc 331 and 331, circumference 576
-and 574, breadth 153 and 154, interpupillary distance 64.5 and 64.5, menton to sellion 123 and 120.
+of 17 to 58 years; [Farkas1994] North American whites of 18 to 25. Figures of the first and the last
+are quoted from memory, the texts were not at hand: check them before citing them elsewhere. The
+mean of 62 men of the soldiers' public file (all of two stretches of it) is near the respirators'
+users: chin arc 331 and 331, circumference 576 and 576, breadth 154 and 153, interpupillary distance
+64.5 and 64.5, menton to sellion 120 and 123, length 199 and 197.
 """
 
 from __future__ import annotations
@@ -49,12 +50,12 @@ SURVEYED = (
     Surveyed("nose breadth", (36.6, 4.1), (33.2, 3.9), "Zhuang2005"),
     Surveyed("lip length", (51.1, 4.2), (48.0, 4.0), "Zhuang2005"),
     Surveyed("interpupillary distance", (64.5, 3.6), (61.9, 3.5), "Zhuang2005"),
-    Surveyed("biocular breadth", (91.2, 3.0), (87.8, 3.2), "Farkas2005"),
-    Surveyed("intercanthal breadth", (33.3, 2.7), (31.8, 2.3), "Farkas2005"),
-    Surveyed("subnasale to menton", (72.6, 4.5), (64.3, 4.0), "Farkas2005"),
-    Surveyed("upper lip's height", (22.3, 2.1), (20.1, 2.0), "Farkas2005"),
-    Surveyed("upper vermilion", (8.0, 1.4), (8.7, 1.3), "Farkas2005"),
-    Surveyed("lower vermilion", (9.3, 1.6), (9.4, 1.5), "Farkas2005"),
+    Surveyed("biocular breadth", (91.2, 3.0), (87.8, 3.2), "Farkas1994"),
+    Surveyed("intercanthal breadth", (33.3, 2.7), (31.8, 2.3), "Farkas1994"),
+    Surveyed("subnasale to menton", (72.6, 4.5), (64.3, 4.0), "Farkas1994"),
+    Surveyed("upper lip's height", (22.3, 2.1), (20.1, 2.0), "Farkas1994"),
+    Surveyed("upper vermilion", (8.0, 1.4), (8.7, 1.3), "Farkas1994"),
+    Surveyed("lower vermilion", (9.3, 1.6), (9.4, 1.5), "Farkas1994"),
     # Deviations of women's arcs are the men's, by the ratio of the means.
     Surveyed("bitragion chin arc", (331.2, 15.5), (303.7, 14.2), "Zhuang2005", met=False),
     Surveyed("bitragion subnasale arc", (294.8, 13.2), (277.0, 12.4), "Zhuang2005"),
