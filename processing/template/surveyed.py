@@ -21,7 +21,7 @@ from processing.template.makehuman_modes import principal
 from processing.template.measures import HeadMeasures
 from processing.template.surveys import NAMES, SURVEYED, covariance, deviations, means
 
-ROUNDS = 4
+ROUNDS = 8
 """Of the mean, since a measure's places move from vertex to vertex; and of the covariance, which a
 round moves as far as measuring is certain."""
 
@@ -50,9 +50,8 @@ def moved(
     centred = people.mean_mm - people.mean_mm[template.landmarks].mean(axis=0)
     rows = np.concatenate([people.identity_mm, size * centred[None]])
     slope = measures.gradient(people.mean_mm, rows)[met]
-    # So large that the surveyed measures are as likely as can be.
-    surveyed = _surveyed(slope @ slope.T, met)
-    scale = float(np.trace(np.linalg.solve(surveyed, slope @ slope.T)) / len(aim)) ** -0.5
+    # So large that the measures' variance is the surveyed one on average.
+    scale = float(((slope**2).sum(axis=1) / spread**2).mean()) ** -0.5
     rows, slope = scale * rows, scale * slope
 
     def off(mean_mm: np.ndarray) -> np.ndarray:

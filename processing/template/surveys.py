@@ -102,14 +102,13 @@ def covariance(correlation: np.ndarray) -> np.ndarray:
     """(q, q) of as many men as women, mm2.
 
     Args:
-        correlation: (q, q) within a sex; that of `CORRELATED` is put in its place. The matrix need
-            not be one of any people: eigenvalues are at least `LEAST`.
+        correlation: (q, q) within a sex, positive definite; that of `CORRELATED` is put in its
+            place, and what the other measures have beside these stays (Jeffrey's rule).
     """
-    mixed = correlation.copy()
     here = [NAMES.index(name) for name in CORRELATED]
-    mixed[np.ix_(here, here)] = CORRELATIONS
-    values, vectors = np.linalg.eigh(mixed)
-    mixed = (vectors * np.maximum(values, LEAST)) @ vectors.T
+    old = correlation[np.ix_(here, here)]
+    learned = np.linalg.solve(old, correlation[here]).T
+    mixed = correlation + learned @ (CORRELATIONS - old) @ learned.T
     size = np.sqrt(np.diag(mixed))
     within = np.sqrt([(each.men[1] ** 2 + each.women[1] ** 2) / 2 for each in SURVEYED])
     apart = np.array([each.men[0] - each.women[0] for each in SURVEYED])
@@ -117,7 +116,3 @@ def covariance(correlation: np.ndarray) -> np.ndarray:
         mixed / np.outer(size, size) * np.outer(within, within) + np.outer(apart, apart) / 4
     )
     return found
-
-
-LEAST = 0.05
-"""Eigenvalue of a correlation matrix that is put together of several."""
