@@ -13,7 +13,7 @@ SUBJECTS = {
     "Calibration": ("colour_calibration", "geometry_motion", "geometry_poses", "lights"),
     "Maps from photographs": ("foreign", "reflectance_"),
     "Mesh": ("geometry_",),
-    "Template and registration": ("landmarks", "registration_", "template_"),
+    "Template and registration": ("anthropometry", "landmarks", "registration_", "template_"),
     "Atlas": ("atlas_",),
     "Whole sessions": ("batch", "session_"),
     "Dataset": ("dataset", "reidentify"),

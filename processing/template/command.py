@@ -265,6 +265,9 @@ def population_command(
     overwrite: bool = typer.Option(
         False, "--overwrite", help="Replace a population that is there."
     ),
+    surveyed: bool = typer.Option(
+        False, "--surveyed", help="Move the people to the measures that surveys have."
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Give a template another head model's people: `fit` then expects heads like theirs."""
@@ -283,7 +286,9 @@ def population_command(
             hint="Pass --overwrite to replace it.",
         )
     with progress_bar("template population") as progress:
-        made, facts = population_of(template, load_template(other), PopulationConfig(), progress)
+        made, facts = population_of(
+            template, load_template(other), PopulationConfig(), progress, surveyed
+        )
         written = write_population(made, to)
     finish(
         f"{written}: {counted(facts['modes'], 'mode')}, people differ by "

@@ -114,3 +114,6 @@ class PopulationConfig:
     """The first of its identity modes; with 100 no shape from photographs was nearer."""
     smooth_mm: float = 6.0
     """Distance over which the modes are smoothed, mm."""
+    measure_share: float = 0.15
+    """How differently a surface and a person are measured, of a measure's deviation among
+    people."""

@@ -11,6 +11,7 @@ import contextlib
 import dataclasses
 import gzip
 import io
+import itertools
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -32,7 +33,12 @@ VERTICES = 19158
 PEOPLE = tuple(
     (group, gender) for group in ("african", "asian", "caucasian") for gender in ("female", "male")
 )
-"""Of these six the mean head is the mean."""
+AGES = (0.0, 0.3, 0.6)
+"""Of the way from MakeHuman's young adult, who is 25, to its old one, who is 90: 25, 44 and 64
+years have mean and deviation of adults up to 70."""
+WEIGHTS = (-0.5, 0.0, 0.5)
+"""Of the way from average weight to MakeHuman's least and most, half and one and a half of it:
+three people who have a deviation of a fifth."""
 SLIDER_FOLDERS = (
     "head", "forehead", "eyebrows", "eyes", "nose", "mouth", "chin", "cheek", "ears", "neck",
 )  # fmt: skip
@@ -57,13 +63,13 @@ HINT = (
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MakeHumanModel:
-    """The mean of six young adults, in decimetres; V is `VERTICES`.
+    """The mean of adults of both sexes, in decimetres; V is `VERTICES`.
 
     Attributes:
         where: base.obj, for errors.
         mesh: body and helpers, all quads.
         groups: (m,) group of each face, such as ``body``.
-        people: (6, V, 3) float32, each of the six minus their mean.
+        people: (p, V, 3) float32, each of `PEOPLE` at `AGES` and `WEIGHTS` minus their mean.
         sliders: (k, V, 3) float32 offsets at a slider's end; of those with two ends, half the way
             from the one to the other.
         slider_names: k names, such as ``eye-scale-decr-incr``.
@@ -303,30 +309,40 @@ def _row(words: list[str]) -> tuple[int, list[float]] | None:
 
 
 def _people(files: _Files) -> tuple[np.ndarray, np.ndarray]:
-    """(V, 3) from base.obj to the mean of the six, and (6, V, 3) float32 from it to each.
+    """(V, 3) from base.obj to the mean of all people, and (p, V, 3) float32 from it to each.
 
-    MakeHuman adds two targets to base.obj for a young adult: that of group and gender, and that of
-    gender, muscle and weight.
+    MakeHuman adds two targets to base.obj for an adult: that of group, gender and age, and that of
+    gender, age, muscle and weight.
     """
     listed = _listed(files, MACRO)
+    once: dict[str, np.ndarray] = {}
+
+    def target(name: str) -> np.ndarray:
+        if name not in listed:
+            raise FormatError(
+                files.root / TARGETS / MACRO,
+                field=name,
+                found="no such target",
+                expected="MakeHuman's adults",
+                hint=HINT,
+            )
+        if name not in once:
+            once[name] = _target(files, listed[name])
+        return once[name]
+
+    def person(group: str, gender: str, age: str, weight: str) -> np.ndarray:
+        body = f"universal-{gender}-{age}-averagemuscle-{weight}weight"
+        return target(f"{group}-{gender}-{age}") + target(body)
+
     offsets = []
-    once: dict[str, np.ndarray] = {}  # three people share a body
-    for group, gender in PEOPLE:
-        offset = np.zeros((VERTICES, 3))
-        body = f"universal-{gender}-young-averagemuscle-averageweight"
-        for name in (f"{group}-{gender}-young", body):
-            if name not in listed:
-                raise FormatError(
-                    files.root / TARGETS / MACRO,
-                    field=name,
-                    found="no such target",
-                    expected="MakeHuman's young adults",
-                    hint=HINT,
-                )
-            if name not in once:
-                once[name] = _target(files, listed[name])
-            offset += once[name]
-        offsets.append(offset)
+    for (group, gender), years, weight in itertools.product(PEOPLE, AGES, WEIGHTS):
+        end = "max" if weight > 0 else "min"
+        young, old = (
+            (1 - abs(weight)) * person(group, gender, age, "average")
+            + abs(weight) * person(group, gender, age, end)
+            for age in ("young", "old")
+        )
+        offsets.append((1 - years) * young + years * old)
     mean = np.mean(offsets, axis=0)
     return mean, (np.stack(offsets) - mean).astype(np.float32)
 

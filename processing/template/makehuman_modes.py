@@ -6,6 +6,7 @@ import numpy as np
 
 from lightstage.formats.expression_sides import left_share
 from lightstage.formats.template import Modes
+from processing.registration.both_ways import vertex_areas
 
 DEVIATION = 1 / 6
 """Of a slider, where 1 is its end. With a third, heads drawn from all sliders at once are
@@ -38,7 +39,7 @@ def population(
 ) -> np.ndarray:
     """Principal components of people whose sliders are drawn independently.
 
-    A slider's standard deviation is `DEVIATION` of the way to its end; each of the six people is as
+    A slider's standard deviation is `DEVIATION` of the way to its end; each of the people is as
     likely as the others. What moves the whole head, as if it were rigid, is taken out.
 
     Args:
@@ -52,11 +53,20 @@ def population(
         many modes as rows, their outer product is the population's covariance.
     """
     rows = np.concatenate([DEVIATION * sliders_mm, people_mm / np.sqrt(max(len(people_mm), 1))])
-    rows = without_rigid(rows.astype(float), mean_mm, area_mm2)
-    weight = np.sqrt(area_mm2 / area_mm2.sum())[:, None]
-    mix, _, _ = np.linalg.svd((rows * weight).reshape(len(rows), -1), full_matrices=False)
-    modes = np.tensordot(mix.T, rows, axes=1)[:MOST]
+    modes = principal(without_rigid(rows.astype(float), mean_mm, area_mm2), area_mm2)[:MOST]
     return np.asarray(modes[np.abs(modes).max(axis=(1, 2), initial=0) > STILL_MM])
+
+
+def principal(rows: np.ndarray, area: np.ndarray) -> np.ndarray:
+    """(k, n, 3) principal components of the covariance rows^T rows, ordered by variance.
+
+    Args:
+        rows: (k, n, 3) independent offsets of one standard deviation each.
+        area: (n,) of the surface around each vertex: variance is counted over the surface.
+    """
+    weight = np.sqrt(area / area.sum())[:, None]
+    mix, _, _ = np.linalg.svd((rows * weight).reshape(len(rows), -1), full_matrices=False)
+    return np.asarray(np.tensordot(mix.T, rows, axes=1))
 
 
 def without_rigid(offsets: np.ndarray, mean_mm: np.ndarray, area_mm2: np.ndarray) -> np.ndarray:
@@ -126,9 +136,6 @@ def modes_of(
         mean_mm: (n, 3) the mean head, in the head frame.
         triangles: (t, 3) of it.
     """
-    corners = mean_mm[triangles]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    third = np.repeat(np.linalg.norm(across, axis=1) / 6, 3)
-    area = np.bincount(triangles.ravel(), third, len(mean_mm))
+    area = vertex_areas(mean_mm, triangles)
     expression, names = expressions(expression_mm, expression_names, mean_mm[:, 0])
     return Modes(population(sliders_mm, people_mm, mean_mm, area), expression, names)

@@ -19,6 +19,7 @@ from processing.registration.stage import head_pose, register_mesh
 from processing.registration.start import named
 from processing.template.config import PopulationConfig, TransferConfig
 from processing.template.correspond import carried_vertices
+from processing.template.surveyed import moved
 
 LOOSE = [*range(7), *range(10, 27)]
 """Landmarks in iBUG's order that do not hold the two heads together: makers of models put those of
@@ -30,6 +31,7 @@ def population_of(
     other: Template,
     config: PopulationConfig,
     progress: ProgressCallback = quiet,
+    surveyed: bool = False,
 ) -> tuple[Population, dict[str, Any]]:
     """Fit a template to another one's mean head, and carry that one's identity modes to it.
 
@@ -38,6 +40,8 @@ def population_of(
         other: whose mesh is the mean head of its people, with modes.
         config: settings.
         progress: called with (done, total).
+        surveyed: whether the people are moved to the measures of surveys, for models that state no
+            population.
 
     Returns:
         The population, and facts.
@@ -60,7 +64,7 @@ def population_of(
     with named(f"template {other.name}"):
         fitted, _ = register_mesh(scan, landmarks, template, RegisterConfig())
     placed = template.mesh.with_vertices(fitted)
-    chosen = other.modes.identity[: config.modes]
+    chosen = other.modes.identity[: None if surveyed else config.modes]
     transfer = TransferConfig()
     rest, known = carried_vertices(other.mesh, other.mesh.vertices, placed, transfer)
     offsets = np.zeros((len(chosen), *fitted.shape))
@@ -70,18 +74,20 @@ def population_of(
     areas = np.maximum(areas, 1e-9 * areas.max())
     smoothed = splu((sp.diags(areas) + config.smooth_mm**2 * stiffness).tocsc())
     for index, mode in enumerate(chosen):
-        moved, _ = carried_vertices(other.mesh, other.mesh.vertices + mode, placed, transfer)
-        offsets[index] = smoothed.solve(areas[:, None] * (moved - rest))
+        there, _ = carried_vertices(other.mesh, other.mesh.vertices + mode, placed, transfer)
+        offsets[index] = smoothed.solve(areas[:, None] * (there - rest))
         progress(index + 1, len(chosen))
     pose = head_pose(fitted, template)
     population = Population(
         pose.apply(fitted), offsets @ pose.rotation.T, other.licence, other.source
     )
+    facts: dict[str, Any] = {"carried_share": float(known.mean())}
+    if surveyed:
+        population, facts["surveyed"] = moved(template, population, config)
     away = np.linalg.norm(population.mean_mm - template.mesh.vertices, axis=1)
-    facts = {
-        "modes": len(chosen),
-        "carried_share": float(known.mean()),
+    facts |= {
+        "modes": len(population.identity_mm),
         "from_mesh_mm": float(np.median(away)),
-        "deviation_mm": float(np.sqrt((offsets**2).sum(axis=(0, 2)).mean())),
+        "deviation_mm": float(np.sqrt((population.identity_mm**2).sum(axis=(0, 2)).mean())),
     }
     return population, facts
