@@ -91,7 +91,8 @@ def test_a_crop_beside_the_picture_is_its_edge_going_on():
     picture = np.full((50, 40, 3), 77, np.uint8)
     for centre in ((-500.0, -500.0), (20.0, 900.0)):
         for size in (30.0, 3000.0):
-            assert (face_mesh.resampled(picture, Crop(np.array(centre), size, 0.3), face_mesh.SIZE_PX) == 77).all()
+            crop = Crop(np.array(centre), size, 0.3)
+            assert (face_mesh.resampled(picture, crop, face_mesh.SIZE_PX) == 77).all()
 
 
 def test_the_crop_of_points_holds_them_all_with_a_quarter_to_spare():
