@@ -163,7 +163,7 @@ def fit_head(
     network_sees = together.first & first.skin & ~first.own_hair
     own_eyes = _own_eyes(texels, together.source)
     skin = PhotographedSkin(
-        SkinPlaces(first.features, own_eyes, first.hair, ~first.skin),
+        SkinPlaces(first.features, first.beard, own_eyes, first.hair, ~first.skin),
         skin_colours(network),
         photographs[0].whites,
     )
@@ -346,7 +346,7 @@ def _look(
             expected=f"{100 * LEAST_SEEN:.0f} % or more",
             hint="Take a photograph from farther in front.",
         )
-    keep, hair = coarse.features, nothing
+    keep, hair = coarse.features | coarse.beard, nothing
     texture = coarse.unwrapped.texture
     skin, found = shown & ~other_tint(texture, shown, template, coarse.raster), None
     settled = False
@@ -446,7 +446,8 @@ class _Texels:
             unwrap(shown.rgb_linear, self.mesh, self.raster, shown.camera, shown.person),
             features(template, self.raster),
         )
-        self.features = features(template, self.raster) | beard_texels(template, self.raster)
+        self.features = features(template, self.raster)
+        self.beard = beard_texels(template, self.raster)
         self.read = ~around_eyes(template, self.raster)
         self.hair = hair_texels(template, self.raster)
         self.own_hair = self._resized(looked.hair)

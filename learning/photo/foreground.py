@@ -53,6 +53,10 @@ def foreground(rgb_linear: np.ndarray, mesh: Mesh, face: np.ndarray, camera: Cam
         return whole
     marks = np.where(head, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     marks[behind] = cv2.GC_BGD
+    # Dark hair before a dark wall has the wall's colours; so far inside its outline it is the head.
+    inner = 2 * _reach(head) + 1
+    bordered = np.pad(head.astype(np.uint8), 1)
+    sure |= cv2.erode(bordered, np.ones((inner, inner), np.uint8))[1:-1, 1:-1] > 0
     marks[sure] = cv2.GC_FGD
     colours_behind, colours_of_person = np.zeros((1, 65)), np.zeros((1, 65))
     anywhere = (0, 0, 0, 0)

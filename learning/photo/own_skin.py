@@ -67,14 +67,16 @@ class Places:
     """Where what is on a person's texture.
 
     Attributes:
-        features: (rows, columns) bool, eyes, brows, lips and where beards grow, which differ
-            between people as they please.
+        features: (rows, columns) bool, eyes, brows and lips, which differ between people as they
+            please.
+        beard: (rows, columns) bool, where beards grow.
         eyes: (rows, columns) bool, texels that show open eyes as they are; None for none.
         hair: (rows, columns) bool, where most people have hair; None where it is not known.
         other: (rows, columns) bool, texels that show something else than the person.
     """
 
     features: np.ndarray
+    beard: np.ndarray
     eyes: np.ndarray | None
     hair: np.ndarray | None
     other: np.ndarray
@@ -106,7 +108,8 @@ class PhotographedSkin:
         """Decide it, and find the tone."""
         places = self.places
         shown = taken.lit & ~places.other
-        skin = taken.known & ~places.other & ~places.features
+        features = places.features | places.beard
+        skin = taken.known & ~places.other & ~features
         if places.hair is not None:
             skin &= ~places.hair
         left = light_left(taken, skin)
@@ -116,7 +119,7 @@ class PhotographedSkin:
         base = enlarged(np.log(taken.low_albedo) - tone_off, *skin.shape)
         # A lit place that the model has in shadow is far too bright, and no brow or beard.
         bright = (np.log(taken.unlit) - wide - base).mean(axis=2) > TOO_BRIGHT
-        known = shown & (taken.known | (places.features & ~bright))
+        known = shown & (taken.known | (features & ~bright))
         hair = np.zeros(skin.shape, np.float32)
         if places.hair is not None:
             skin_log = skin_over_scalp(taken.low_albedo, places.hair, taken.covered) - tone_off

@@ -62,7 +62,7 @@ def plain(share: float = 1.0) -> np.ndarray:
 
 def places(features: np.ndarray = NOTHING, **named: np.ndarray) -> Places:
     given = {"eyes": None, "hair": None, "other": NOTHING, **named}
-    return Places(features, given["eyes"], given["hair"], given["other"])
+    return Places(features, NOTHING, given["eyes"], given["hair"], given["other"])
 
 
 def albedo_of(taken: TakenOut, where: Places, people: SkinColours) -> np.ndarray:
