@@ -38,12 +38,12 @@ and 2, in a lamp's strength, and the share of these in its tint."""
 ROUNDS = 10
 HALF_AT = 1.5
 """Deviations at which a texel weighs a quarter [GemanMcClure1985]."""
-MARK = 0.35
+MARK = 0.4
 """Difference in lightness, natural logarithm, of which half is a mark for certain: errors of light
 are smaller."""
 BRIGHT_FEATURES = 0.5
 """Part of a feature that is brighter than skin that is believed."""
-SMOOTH_DOUBT, TINT_DOUBT, FINE_DOUBT, FEATURES_DOUBT = 1.0, 0.3, 0.1, 0.02
+SMOOTH_DOUBT, TINT_DOUBT, FINE_DOUBT, FEATURES_DOUBT = 2.0, 0.3, 0.1, 0.02
 """Variance of the error that light makes in smooth differences of lightness, in those of tint, in
 what is finer, and in features, of the variance that `trusted` expects."""
 EYES_BLUR = 1 / 48
