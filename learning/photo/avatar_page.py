@@ -132,8 +132,12 @@ def guesses(fit: dict[str, Any], source: Source) -> list[list[str]]:
             "tone of the skin",
             "one photograph does not separate it from the light's strength and colour"
             if tone is None
-            else f"typology angle {tone['ita_deg']:.0f} degrees, uncertain by "
-            f"{tone['span_deg']:.0f}: a photograph does not separate it from the light",
+            else "typology angle {:.0f} degrees, between {:.0f} and {:.0f}, ".format(
+                tone["ita_deg"], *tone["span_deg"]
+            )
+            + "by {}: a photograph does not separate it from the light".format(
+                ", ".join(tone["cues"])
+            ),
         ],
         [
             "what was not seen",

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import cv2
 import numpy as np
 
 from learning.networks.whole_face import DARKEST
@@ -20,7 +21,7 @@ from learning.whole.detail import blurred, enlarged
 from learning.whole.gaps import without_gaps
 from learning.whole.light import LightSearch
 from learning.whole.refine import Own, TakenOut, at_network_size
-from learning.whole.scalp import hair_share, skin_over_scalp
+from learning.whole.scalp import GRAIN, hair_share, skin_over_scalp
 from learning.whole.unlit import DARK_LIGHT
 
 KEY_PERCENTILE = 80.0
@@ -54,6 +55,8 @@ FEATURES_BLUR = 1 / 192
 """Standard deviation of the border between features and other skin, of a texture's rows."""
 TOO_BRIGHT = 0.5
 """Natural logarithm over the skin above which a feature is light in the wrong place."""
+LEAST_PATCH = 1 / 96
+"""Half the side of a square of hair whose strands are continued, of a texture's rows, at least."""
 LEAST_HAIR = 0.01
 """Share of the texels with hair that must be known, for all to get their colour."""
 
@@ -213,7 +216,9 @@ class PhotographedSkin:
             own = np.where(alike[..., None], own[:, ::-1], own)
         if (known & is_hair).sum() > LEAST_HAIR * is_hair.sum():
             # Its own colour is continued: as a difference it would make skin beside it glow.
-            strands = without_gaps(unlit_log, known & is_hair, covered, sides) - base
+            shown = known & is_hair
+            strands = without_gaps(unlit_log, shown, covered, sides) - base
+            strands += np.where(shown[..., None], 0, grain_beyond(unlit_log, shown))
             own = hair[..., None] * strands + (1 - hair[..., None]) * own
         albedo: np.ndarray = np.exp(np.minimum(base + own, 0.0))
         return albedo
@@ -246,6 +251,29 @@ def _share(trust: np.ndarray, doubt: float | np.ndarray) -> np.ndarray:
     """
     found: np.ndarray = trust / (trust + doubt * (1 - trust))
     return found
+
+
+def grain_beyond(image: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Continue what is fine in an image: the largest known square of it, mirrored again and again.
+
+    Args:
+        image: (rows, columns, 3).
+        known: (rows, columns) bool.
+
+    Returns:
+        (rows, columns, 3) float32, of mean 0; zeros where no square is large enough.
+    """
+    bordered = np.pad(known.astype(np.uint8), 1)
+    inside = cv2.distanceTransform(bordered, cv2.DIST_C, 3)[1:-1, 1:-1]
+    row, column = np.unravel_index(inside.argmax(), known.shape)
+    reach = int(inside[row, column]) - 1
+    if reach < LEAST_PATCH * len(known):
+        return np.zeros(image.shape, np.float32)
+    square = slice(row - reach, row + reach + 1), slice(column - reach, column + reach + 1)
+    patch = image[square].astype(np.float32)
+    patch = patch - cv2.GaussianBlur(patch, (0, 0), max(1.0, GRAIN * len(known)))
+    turns = [np.abs((np.arange(n) % (4 * reach)) - 2 * reach) for n in known.shape]
+    return np.asarray((patch - patch.mean(axis=(0, 1)))[np.ix_(*turns)])
 
 
 def light_left(taken: TakenOut, skin: np.ndarray) -> np.ndarray:

@@ -34,6 +34,8 @@ BEFORE_EARS_MM = 30.0
 OTHER_TINT = 0.6
 """Difference of red or blue over green, natural logarithm, from the face's: lights of two colours
 make half of it."""
+HAIRLINE = 1 / 64
+"""Standard deviation by which corners of the region `hair` are rounded, of a texture's rows."""
 LEAST_OPEN, LIPS_BORDER = 0.06, 0.02
 """Height of an open mouth, and width of the lips' edge that teeth shine through, of its width."""
 BROW_MM = 14.0
@@ -115,7 +117,11 @@ def hair_texels(template: Template, raster: UvRaster) -> np.ndarray | None:
     inside = _of_regions(template, ("hair",))
     if not inside.any():
         return None
-    return np.asarray(raster.interpolate(inside[:, None].astype(float))[..., 0] > 0.5)
+    share = raster.interpolate(inside[:, None].astype(np.float32))[..., 0].astype(np.float32)
+    # A region has the corners of a template's quads, which hair has not.
+    weight = cv2.GaussianBlur(raster.covered.astype(np.float32), (0, 0), HAIRLINE * len(share))
+    share = cv2.GaussianBlur(share, (0, 0), HAIRLINE * len(share)) / np.maximum(weight, 1e-3)
+    return np.asarray(raster.covered & (share > 0.5))
 
 
 def _of_regions(template: Template, names: tuple[str, ...]) -> np.ndarray:
