@@ -57,6 +57,10 @@ TOO_BRIGHT = 0.5
 """Natural logarithm over the skin above which a feature is light in the wrong place."""
 LEAST_PATCH = 1 / 96
 """Half the side of a square of hair whose strands are continued, of a texture's rows, at least."""
+STRANDS_SHARE = 0.6
+"""Strength of strands where no photograph shows them."""
+SPECK = 1 / 256
+"""Width of what is shown of skin, of a texture's rows, below which it is a collar's edge."""
 LEAST_HAIR = 0.01
 """Share of the texels with hair that must be known, for all to get their colour."""
 
@@ -123,6 +127,11 @@ class PhotographedSkin:
         # A lit place that the model has in shadow is far too bright, and no brow or beard.
         bright = (np.log(taken.unlit) - wide - base).mean(axis=2) > TOO_BRIGHT
         known = shown & (taken.known | (features & ~bright))
+        specks = max(1, round(SPECK * len(skin)))
+        whole = cv2.morphologyEx(
+            known.astype(np.uint8), cv2.MORPH_OPEN, np.ones((specks, specks), np.uint8)
+        )
+        known &= (whole > 0) | features
         hair = np.zeros(skin.shape, np.float32)
         if places.hair is not None:
             skin_log = skin_over_scalp(taken.low_albedo, places.hair, taken.covered) - tone_off
@@ -218,7 +227,7 @@ class PhotographedSkin:
             # Its own colour is continued: as a difference it would make skin beside it glow.
             shown = known & is_hair
             strands = without_gaps(unlit_log, shown, covered, sides) - base
-            strands += np.where(shown[..., None], 0, grain_beyond(unlit_log, shown))
+            strands += np.where(shown[..., None], 0, STRANDS_SHARE * grain_beyond(unlit_log, shown))
             own = hair[..., None] * strands + (1 - hair[..., None]) * own
         albedo: np.ndarray = np.exp(np.minimum(base + own, 0.0))
         return albedo
