@@ -13,11 +13,14 @@ import numpy as np
 from benchmarks.networks_lights import LitPoints, Points
 from benchmarks.networks_people import Head
 from learning.photo.eyes import openings
+from learning.photo.marks import FaceMarks, face_marks
 from learning.photo.shape_fit import Photograph
+from learning.points.network import shipped_finder
 from lightstage.faces import detect_faces
-from lightstage.faces.schemes import FACE_MESH, ibug68, seen_points
+from lightstage.faces.schemes import IBUG, seen_points
 from lightstage.formats.environment import LightSet
 from lightstage.formats.srgb import linear_from_srgb
+from lightstage.formats.template import Template
 from lightstage.rig import Camera, look_at
 from processing.colour import srgb_from_linear
 
@@ -93,17 +96,27 @@ class Sitter:
         return codes, linear_from_srgb(codes / 255.0).astype(np.float32)
 
 
-def photograph(sitter: Sitter, lights: LightSet, there: np.ndarray, name: str) -> Photograph:
+def photograph(sitter: Sitter, lights: LightSet, marks: FaceMarks, name: str) -> Photograph:
     """An 8-bit photograph of a lit head, its face found.
 
     Args:
         sitter: who is seen.
         lights: in the world.
-        there: (468,) bool, points that the template knows.
+        marks: the points that are found.
         name: of the photograph.
     """
     codes, linear = sitter.shot(lights)
     faces = detect_faces(codes)
-    points = np.full((468, 2), np.nan) if not faces else seen_points(faces[0], FACE_MESH)
-    eyes_px = openings(linear, ibug68(points))
-    return Photograph(name, linear, points[there], sitter.camera.fx_px, eyes_px)
+    if not faces:
+        lost = np.full((len(marks.places.weights), 2), np.nan)
+        return Photograph(name, linear, lost, sitter.camera.fx_px)
+    points, weight = marks.of(codes, faces[0])
+    eyes_px = openings(linear, seen_points(faces[0], IBUG))
+    return Photograph(name, linear, points, sitter.camera.fx_px, weight, eyes_px)
+
+
+def marks_of(template: Template) -> FaceMarks:
+    """The points that `fit` uses by itself."""
+    marks = face_marks(template, shipped_finder(template))
+    assert marks is not None, "the template has no mediapipe468.json"
+    return marks
