@@ -16,13 +16,16 @@ from learning.average import follow
 from learning.checkpoint import AVERAGE, save_checkpoint
 from learning.encoding import shrink
 from learning.errors import TrainingError
+from learning.limits import configured
 from learning.maps import to_batch
 from learning.photo.config import FitConfig
 from learning.photo.shape_fit import Places, detector_places
+from learning.points.config import PointsConfig
 from learning.points.faces import Drawn, Faces
 from learning.points.layout import SIDE_PX, Layout, layout_of
 from learning.points.network import FAMILY, PointNetwork
 from learning.points.trunk import fill_from_wheel
+from learning.run import require_new
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.faces import face_mesh
 from lightstage.formats.template import Template, load_template
@@ -34,31 +37,6 @@ LEAST_PRESENCE = 0.5
 """Of the detector; faces of which it is less sure are left out."""
 LEAST_FACING = 0.1
 """Cosine to the camera below which a point is not learned from."""
-
-
-@dataclasses.dataclass(frozen=True)
-class PointsConfig:
-    """How the network is trained.
-
-    Attributes:
-        faces: number of faces drawn; each is learned from mirrored, too.
-        held_out: number of further faces that are scored alone.
-        epochs: how often each is seen, and its mirror image.
-        batch: faces of a step.
-        learning_rate: of Adam at the beginning; it ends at zero along a cosine.
-        trunk_share: of it, for the trunk, which is trained already.
-        average: decay of the weights' moving average, which is kept.
-        seed: of all random numbers.
-    """
-
-    faces: int = 4000
-    held_out: int = 100
-    epochs: int = 6
-    batch: int = 24
-    learning_rate: float = 1.5e-3
-    trunk_share: float = 0.4
-    average: float = 0.998
-    seed: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -258,7 +236,7 @@ def skins_of(store: Store) -> list[np.ndarray]:
 
 
 def train_points(
-    data: Path, template: Path, out: Path, config: PointsConfig, progress: ProgressCallback = quiet
+    data: Path, template: Path, out: Path, file: Path | None, progress: ProgressCallback = quiet
 ) -> dict[str, Any]:
     """Draw faces in a store's skins, train on them, and write a checkpoint; the facts.
 
@@ -266,20 +244,29 @@ def train_points(
         data: store of maps in the template's texture.
         template: whose mean head, modes and people are drawn.
         out: folder of the run.
-        config: of the training.
+        file: TOML over the defaults of `PointsConfig`, or None.
         progress: of faces, then of steps.
 
     Raises:
-        LightstageError: no store, no template, or a template without the detector's points.
+        LightstageError: no store, no template, or one without the detector's points or modes of
+            expressions, a run that is there already.
     """
     began = time.monotonic()
+    config = configured(PointsConfig, file, {}, "points")
+    require_new(out, "Choose another --out, or remove that run first.")
     torch.manual_seed(config.seed)
     store, own = open_store(data), load_template(template)
+    found = detector_places(own)
+    if found is None or own.mesh.uvs is None:
+        raise TrainingError(
+            template,
+            found="no points of the detector, or no UV",
+            expected="a template that `fit` takes",
+            hint="`lightstage-learning template-points --template TEMPLATE` finds the points.",
+        )
     layout, mirror = layout_of(own, FitConfig()), mirrored(own)
     faces = Faces(own, FitConfig(), skins_of(store))
     rng = np.random.default_rng([config.seed, 0])
-    found = detector_places(own)
-    assert found is not None
     examples = examples_of(faces, layout, found[0], mirror, config.faces, rng, progress)
     held_out = examples_of(faces, layout, found[0], mirror, config.held_out, rng)
     drawn_s = time.monotonic() - began
@@ -304,4 +291,5 @@ def train_points(
             "step_seconds": time.monotonic() - began - drawn_s,
         },
     )
-    return {"out": str(out), "faces": len(examples.pictures), **metrics, "drawn_s": drawn_s}
+    seconds = time.monotonic() - began
+    return {"out": str(out), "faces": len(examples.pictures), **metrics, "seconds": seconds}
