@@ -260,7 +260,9 @@ def write_texture(arguments: argparse.Namespace, template: Template) -> None:
                 (light, yaw): photograph(sitters[yaw], light_of(light, NUMBER), marks, f"{yaw}")
                 for light, yaw in {key for case in CASES.values() for key in case}
             }
-            measure_texture(head, near & head.skin, shots, template, marks.places, arguments.rows, sums)
+            measure_texture(
+                head, near & head.skin, shots, template, marks.places, arguments.rows, sums
+            )
         name = f"{kind}, unseen half" if arguments.unseen and kind == "ict" else kind
         body += [sums[case].row(f"{name} ({len(people)})", case) for case in CASES]
     if arguments.scale != 1.0:

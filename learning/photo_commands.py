@@ -231,9 +231,9 @@ def train_points(
     with limited_access(group_of([data])), progress_bar("train-points") as progress:
         facts = train(data, template, out, config, progress)
     finish(
-        f"{out}: {counted(facts['faces'], 'face')}, points {facts['points_mm']:.1f} mm off on faces "
-        f"held out (the detector's {facts['detector_mm']:.1f}, without their mean error "
-        f"{facts['detector_mean_off_mm']:.1f}), {facts['seconds']:.0f} s",
+        f"{out}: {counted(facts['faces'], 'face')}; on faces held out points are "
+        f"{facts['points_mm']:.1f} mm off (the detector's {facts['detector_mm']:.1f}, without "
+        f"their mean error {facts['detector_mean_off_mm']:.1f}), {facts['seconds']:.0f} s",
         facts,
         as_json,
     )

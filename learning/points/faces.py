@@ -1,7 +1,7 @@
 """Faces to train on: people of the fit's own model, in any light, with hair and what is worn.
 
-Shapes are drawn as `fit` expects them (`learning.photo.model`), skins are those of a store. Hair and
-beards are a second surface over the first, which has an irregular edge; glasses, teeth and what
+Shapes are drawn as `fit` expects them (`learning.photo.model`), skins are those of a store. Hair
+and beards are a second surface over the first, which has an irregular edge; glasses, teeth and what
 hides a part of the face are drawn into the picture.
 """
 
@@ -76,17 +76,14 @@ class Faces:
         self._lids = np.isin(
             np.arange(len(mean)),
             np.flatnonzero(
-                np.min(
-                    [np.linalg.norm(mean - marks[i], axis=1) for i in range(36, 48)], axis=0
-                )
-                < 9
+                np.min([np.linalg.norm(mean - marks[i], axis=1) for i in range(36, 48)], axis=0) < 9
             ),
         )
 
     def drawn(self, rng: np.random.Generator) -> Drawn:
         """A random person, photographed at random."""
         own = self._vertices(rng)
-        cover, height = self._hair(rng, own)
+        cover, height = self._hair(rng)
         normals = normals_of(own, self._triangles)
         # The second surface, of hair.
         over = own + height[:, None] * normals
@@ -161,9 +158,7 @@ class Faces:
         turn = Rotation.from_euler("zxy", [roll, pitch, yaw], degrees=True).as_matrix()
         return np.asarray(np.diag([1.0, -1, -1]) @ turn)
 
-    def _hair(
-        self, rng: np.random.Generator, own: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _hair(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """(n,) share of hair over each vertex, and how far it stands off in mm."""
         mean = self._model.mean
         high, side = mean[:, 1], self._azimuth
@@ -251,7 +246,7 @@ class Faces:
         focal: float,
         depth: np.ndarray,
     ) -> None:
-        """Draw rims, a bridge, arms and lenses before the (68, 3) landmarks in the camera's axes."""
+        """Draw glasses before the (68, 3) landmarks in the camera's axes."""
         eyes = [marks[36:42].mean(axis=0), marks[42:48].mean(axis=0)]
         across = eyes[1] - eyes[0]
         across = across / np.linalg.norm(across)
@@ -296,7 +291,9 @@ class Faces:
             at = seen(arm)
             cell = np.clip(at.astype(int), 0, SIDE_PX - 1)
             free = arm[:, 2] < depth[cell[:, 1], cell[:, 0]] + 4
-            for one, two in zip(np.flatnonzero(free[:-1]), np.flatnonzero(free[:-1]) + 1, strict=True):
+            for one, two in zip(
+                np.flatnonzero(free[:-1]), np.flatnonzero(free[:-1]) + 1, strict=True
+            ):
                 piece = np.round(8 * at[[one, two]]).astype(np.int32)
                 cv2.polylines(linear, [piece], False, colour.tolist(), thick, cv2.LINE_AA, 3)
 
@@ -409,9 +406,7 @@ def _teeth(
     cv2.fillPoly(linear, [line], colour.tolist(), cv2.LINE_AA, 3)
 
 
-def _occlude(
-    linear: np.ndarray, rng: np.random.Generator, marks: np.ndarray, level: float
-) -> None:
+def _occlude(linear: np.ndarray, rng: np.random.Generator, marks: np.ndarray, level: float) -> None:
     """Hide a part of the face by something like a hand, a scarf or a leaf."""
     centre = marks[int(rng.integers(len(marks)))] + rng.normal(0, 15, 2)
     angle = np.sort(rng.uniform(0, 2 * np.pi, int(rng.integers(5, 12))))

@@ -100,7 +100,10 @@ class Layout:
             high = np.ceil(at.max(axis=(0, 1)) + 3 * step).astype(int) + 1
             part = picture[low[1] : max(high[1], 1), low[0] : max(high[0], 1)]
             if part.size:
-                picture, at = cv2.GaussianBlur(part, (0, 0), 0.4 * step), at - low.astype(np.float32)
+                picture, at = (
+                    cv2.GaussianBlur(part, (0, 0), 0.4 * step),
+                    at - low.astype(np.float32),
+                )
         return np.asarray(
             cv2.remap(picture, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         )

@@ -160,9 +160,7 @@ def lit(
                     soft += around[j + 1, k] * normal[j]
                 matt[row, column, k] = max(soft, 0.05 * around[0, k]) * open_
             for i in range(len(lamps)):
-                cosine = (
-                    normal[0] * lamps[i, 0] + normal[1] * lamps[i, 1] + normal[2] * lamps[i, 2]
-                )
+                cosine = normal[0] * lamps[i, 0] + normal[1] * lamps[i, 1] + normal[2] * lamps[i, 2]
                 if cosine <= 0:
                     continue
                 x, y, z = np.float32(0), np.float32(0), np.float32(0)

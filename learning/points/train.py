@@ -123,7 +123,7 @@ def _example(
 
 
 def _seen_through(drawn: Drawn, layout: Layout, detected: Places) -> np.ndarray:
-    """(468, 2) px of the detector's points; those that are not on the template are in the middle."""
+    """(468, 2) px of the detector's points; in the middle where the template has none."""
     corners = drawn.points_px[detected.triangles]
     known = np.einsum("pck,pc->pk", corners, detected.weights)
     out = np.tile(known.mean(axis=0), (len(layout.there), 1))

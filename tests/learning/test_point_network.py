@@ -83,7 +83,9 @@ def test_of_the_mean_head_in_a_plane_nothing_remains(layout: Layout) -> None:
     true = layout.places @ turn.T + [100.0, 50.0]
     np.testing.assert_allclose(layout.residual_mm(true, points), 0, atol=1e-4)
     moved = layout.residual_mm(true + turn @ [0.01, 0.0], points)
-    np.testing.assert_allclose(moved, np.tile([0.01 * layout.side_mm, 0], (len(true), 1)), atol=1e-4)
+    np.testing.assert_allclose(
+        moved, np.tile([0.01 * layout.side_mm, 0], (len(true), 1)), atol=1e-4
+    )
 
 
 @pytest.mark.parametrize("size", [90.0, 128.0, 700.0])
@@ -186,9 +188,14 @@ def test_training_brings_points_nearer(
     # What is saved is found again, but for the rounding of half floats.
     halved = {name: value.half() for name, value in average.named_parameters()}
     about = {
-        "family": FAMILY, "config": dataclasses.asdict(config), "data_fingerprint": "", "held_out": [],
-        "texture_rows": 48, "metrics": figures, "step_seconds": 0.0,
-    }  # fmt: skip
+        "family": FAMILY,
+        "config": dataclasses.asdict(config),
+        "data_fingerprint": "",
+        "held_out": [],
+        "texture_rows": 48,
+        "metrics": figures,
+        "step_seconds": 0.0,
+    }
     save_checkpoint(tmp_path, 1, {AVERAGE: {**average.state_dict(), **halved}}, about)
     loaded, checkpoint = load_points(tmp_path)
     assert checkpoint.metrics == figures
@@ -219,7 +226,9 @@ def test_points_are_nearer_to_the_truth_than_the_detectors(
     assert finder is not None
     found = detector_places(template)
     assert found is not None
-    examples = examples_of(faces, layout, found[0], mirrored(template), 6, np.random.default_rng(99))
+    examples = examples_of(
+        faces, layout, found[0], mirrored(template), 6, np.random.default_rng(99)
+    )
     figures = scored(finder.network, examples)
     assert figures["points_mm"] < 0.8 * figures["detector_mm"]
 
