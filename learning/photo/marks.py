@@ -12,8 +12,6 @@ from lightstage.faces.detect import Face
 from lightstage.faces.schemes import FACE_MESH, seen_points
 from lightstage.formats.template import Template
 
-NEAR_MM = 8.0
-"""The detector's points nearer to one of the network's than that are not used beside it."""
 TYPICAL_MM = 2.5
 """Deviation of a point of the network's that counts as one of the detector's does."""
 MOST_WEIGHT = 2.0
@@ -27,13 +25,11 @@ class FaceMarks:
     Attributes:
         places: the detector's, those of them that the template has, then the network's.
         there: (468,) bool, the detector's that the template has.
-        beside: (p,) bool, of these, those of which the network has no point nearby.
         finder: the network; None where there is none for the template.
     """
 
     places: Places
     there: np.ndarray
-    beside: np.ndarray
     finder: PointFinder | None
 
     def of(self, picture_srgb: np.ndarray, face: Face) -> tuple[np.ndarray, np.ndarray]:
@@ -49,7 +45,7 @@ class FaceMarks:
         dense = self.finder.found(picture_srgb, face.points_px)
         weight = np.minimum((TYPICAL_MM / dense.deviation_mm) ** 2, MOST_WEIGHT)
         points = np.concatenate([detected, dense.points_px])
-        return points, np.concatenate([self.beside.astype(float), weight])
+        return points, np.concatenate([np.ones(len(detected)), weight])
 
 
 def face_marks(template: Template, finder: PointFinder | None) -> FaceMarks | None:
@@ -59,14 +55,11 @@ def face_marks(template: Template, finder: PointFinder | None) -> FaceMarks | No
         return None
     places, there = found
     if finder is None:
-        return FaceMarks(places, there, np.ones(len(places.weights), bool), None)
+        return FaceMarks(places, there, None)
     vertices = finder.layout.vertices
-    mesh_mm = template.mesh.vertices
-    detected_mm = np.einsum("pck,pc->pk", mesh_mm[places.triangles], places.weights)
-    away = np.linalg.norm(detected_mm[:, None] - mesh_mm[vertices][None], axis=2).min(axis=1)
     both = Places(
         np.concatenate([places.triangles, np.repeat(vertices[:, None], 3, axis=1)]),
         np.concatenate([places.weights, np.tile([1.0, 0.0, 0.0], (len(vertices), 1))]),
         np.concatenate([places.spread_mm, np.zeros(len(vertices))]),
     )
-    return FaceMarks(both, there, away > NEAR_MM, finder)
+    return FaceMarks(both, there, finder)

@@ -20,9 +20,9 @@ class PointsConfig:
         seed: of all random numbers.
     """
 
-    faces: int = 4000
+    faces: int = 13_000
     held_out: int = 200
-    epochs: int = 6
+    epochs: int = 4
     batch: int = 24
     learning_rate: float = 1.5e-3
     trunk_share: float = 0.4
