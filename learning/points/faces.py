@@ -224,7 +224,7 @@ class Faces:
         rows, columns = skin.shape[:2]
         texel = np.zeros((*face.shape, 2), np.float32)
         texel[here] = uv * [columns, -rows] + [-0.5, rows - 0.5]
-        colour = cv2.remap(skin, texel, None, cv2.INTER_LINEAR)[here]
+        colour = cv2.remap(skin, texel[..., 0], texel[..., 1], cv2.INTER_LINEAR)[here]
         tint = np.exp(rng.normal(0, 0.15) + rng.normal(0, 0.06, 3))
         kinds = [(0.02, 0.016, 0.0145), (0.06, 0.034, 0.019), (0.26, 0.165, 0.08)]
         kinds += [(0.2, 0.07, 0.022), (0.35, 0.33, 0.31)]
@@ -331,7 +331,8 @@ def _waves(
 ) -> np.ndarray:
     """(n,) smooth noise of deviation about 1 at (n, 3) places; slower along y by `along`."""
     out, at = np.zeros(len(at), np.float32), at.astype(np.float32)
-    for length in np.exp(rng.uniform(*np.log(lengths_mm), count)):
+    low, high = (float(np.log(length)) for length in lengths_mm)
+    for length in np.exp(rng.uniform(low, high, count)):
         line = rng.normal(0, 1, 3)
         line *= 2 * np.pi / (length * np.linalg.norm(line))
         line[1] *= along
@@ -434,5 +435,6 @@ def _photographed(linear: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     codes = (255 * srgb_from_linear(np.clip(linear, 0, 1)) + 0.5).astype(np.uint8)
     if rng.random() < 0.5:
         quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(30, 95))]
-        codes = cv2.imdecode(cv2.imencode(".jpg", codes, quality)[1], cv2.IMREAD_COLOR)
-    return np.asarray(codes)
+        compressed = cv2.imencode(".jpg", codes, quality)[1]
+        return np.asarray(cv2.imdecode(compressed, cv2.IMREAD_COLOR))
+    return codes

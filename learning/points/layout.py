@@ -105,7 +105,13 @@ class Layout:
                     at - low.astype(np.float32),
                 )
         return np.asarray(
-            cv2.remap(picture, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            cv2.remap(
+                picture,
+                at[..., 0],
+                at[..., 1],
+                cv2.INTER_LINEAR,
+                borderMode=cv2.BORDER_REPLICATE,
+            )
         )
 
     def beside_mm(self, points_px: np.ndarray) -> np.ndarray:

@@ -53,6 +53,13 @@ class DensePoints:
 class PointNetwork(nn.Module):
     """The trunk and what reads it."""
 
+    side_mm: Tensor
+    vertices: Tensor
+    vertices_mm: Tensor
+    places: Tensor
+    there: Tensor
+    control: Tensor
+
     def __init__(self, control: int = COUNT, points: int = POINTS) -> None:
         """For so many of the detector's points, and template points."""
         super().__init__()

@@ -136,8 +136,7 @@ def mirrored(template: Template) -> np.ndarray:
     from scipy.spatial import cKDTree
 
     vertices = template.mesh.vertices
-    found: np.ndarray = cKDTree(vertices).query(vertices * [-1, 1, 1])[1]
-    return found
+    return np.asarray(cKDTree(vertices).query(vertices * [-1, 1, 1])[1])
 
 
 def likelihood(network: PointNetwork, batch: tuple[Tensor, ...]) -> Tensor:

@@ -26,6 +26,10 @@ READ_CHANNELS = sum(WIDTHS[i] for i in READ)
 class _Block(nn.Module):
     """A residual block: a depthwise convolution, a pointwise one, PReLU."""
 
+    across: nn.Conv2d
+    along: nn.Conv2d
+    bend: nn.PReLU
+
     def __init__(self, before: int, after: int, halved: bool) -> None:
         super().__init__()
         self._halved, self._more = halved, after - before
@@ -95,6 +99,7 @@ def fill_from_wheel(trunk: Trunk) -> None:
     fill(trunk.first, "conv2d")
     fill(trunk.bend, "p_re_lu")
     for index, block in enumerate(trunk.blocks):
+        assert isinstance(block, _Block)
         number = f"_{index}" if index else ""
         fill(block.across, f"depthwise_conv2d{number}")
         fill(block.along, f"conv2d_{index + 1}")
