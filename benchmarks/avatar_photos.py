@@ -21,7 +21,7 @@ from benchmarks.networks_lights import light_of
 from benchmarks.networks_people import Head, Who, make
 from benchmarks.networks_scores import light_deg, specular_sums, squared
 from benchmarks.photo import apart, in_head, scored
-from benchmarks.photo_studio import Sitter, photograph
+from benchmarks.photo_studio import Sitter, marks_of, photograph
 from benchmarks.record import changed, git
 from benchmarks.reflectance_people import folder
 from learning.checkpoint import (
@@ -37,7 +37,8 @@ from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
 from learning.photo.fit import FittedHead, fit_head
-from learning.photo.shape_fit import Photograph, Places, detector_places
+from learning.photo.marks import FaceMarks
+from learning.photo.shape_fit import Photograph
 from learning.render.uv import rasterise
 from learning.upscale.network import Rcan
 from learning.whole.detail import enlarged
@@ -124,11 +125,9 @@ def template() -> Template:
 
 
 @functools.cache
-def places() -> tuple[Places, np.ndarray]:
-    """Where the detector's points lie on the template, and which of the 468 do."""
-    found = detector_places(template())
-    assert found is not None, "the template has no mediapipe468.json"
-    return found
+def marks() -> FaceMarks:
+    """The points that photographs' faces have."""
+    return marks_of(template())
 
 
 @functools.cache
@@ -160,7 +159,7 @@ def sitter_of(who: Who, yaw_deg: float, rows: int) -> Sitter:
 def shot(case: Case) -> Photograph:
     """The photograph."""
     sitter = sitter_of(case.who, case.yaw_deg, case.rows)
-    return photograph(sitter, light_for(case), places()[1], case.name)
+    return photograph(sitter, light_for(case), marks(), case.name)
 
 
 def fitted(rows: int, photographs: list[Photograph]) -> FittedHead:
@@ -168,7 +167,7 @@ def fitted(rows: int, photographs: list[Photograph]) -> FittedHead:
     config = FitConfig(rows=rows, refine_seconds=SETTLES_SECONDS)
     whole, relief, larger = networks()
     return fit_head(
-        photographs, template(), places()[0], whole, config, relief, super_resolution=larger
+        photographs, template(), marks().places, whole, config, relief, super_resolution=larger
     )
 
 

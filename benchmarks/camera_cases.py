@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.avatar_photos import face_of, head_of, places, write
+from benchmarks.avatar_photos import face_of, head_of, marks, write
 from benchmarks.networks_lights import LitPoints, light_of
 from benchmarks.networks_people import Head, Who, chosen, make
 from benchmarks.networks_scores import squared
@@ -76,7 +76,7 @@ class Known:
     def photograph(self) -> Photograph:
         """What the fit reads; landmarks are sought by the code as it is."""
         told = self.focal_px if self.shooting.told else None
-        return of_codes(self.codes, places()[1], self.name, told)
+        return of_codes(self.codes, marks(), self.name, told)
 
 
 @dataclasses.dataclass(frozen=True)

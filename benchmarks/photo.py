@@ -24,6 +24,7 @@ from benchmarks.photo_studio import (
     HEIGHT_PX,
     WIDTH_PX,
     Sitter,
+    marks_of,
     photograph,
 )
 from benchmarks.photo_texture import (
@@ -39,7 +40,7 @@ from learning.checkpoint import load_whole_face, shipped_weights
 from learning.photo.config import FitConfig
 from learning.photo.fit import FittedHead, fit_head
 from learning.photo.model import NOSE_TIP, shape_model
-from learning.photo.shape_fit import Photograph, detector_places, fit_shape
+from learning.photo.shape_fit import Photograph, fit_shape
 from learning.render.uv import rasterise
 from learning.render.view import render_view
 from lightstage.formats.environment import LightSet
@@ -129,9 +130,8 @@ def measure(
     """Fit one head under each light, and add up its errors."""
     config = dataclasses.replace(FitConfig(), rows=rows)
     model = shape_model(template, config)
-    found = detector_places(template)
-    assert found is not None, "the template has no mediapipe468.json"
-    places, there = found
+    marks = marks_of(template)
+    places = marks.places
     face = scored(template)
     truth = in_head(head, head.mesh.vertices)
     normals = vertex_normals(truth, template.mesh.triangles())[face]
@@ -148,7 +148,7 @@ def measure(
     sitters = {yaw: Sitter(head, yaw, scale) for yaw in THREE_DEG}
     for name in LIGHTS:
         light = light_of(name, NUMBER)
-        shots = {yaw: photograph(each, light, there, f"{yaw}") for yaw, each in sitters.items()}
+        shots = {yaw: photograph(each, light, marks, f"{yaw}") for yaw, each in sitters.items()}
         lost = [yaw for yaw, shot in shots.items() if not np.isfinite(shot.landmarks_px).any()]
         scores.lost += len(lost)
         for yaw in YAWS_DEG:
@@ -246,9 +246,7 @@ def main() -> None:
 
 def write_texture(arguments: argparse.Namespace, template: Template) -> None:
     """One photograph against three of each person, as one texture."""
-    found = detector_places(template)
-    assert found is not None, "the template has no mediapipe468.json"
-    places, there = found
+    marks = marks_of(template)
     raster = rasterise(template.mesh, arguments.rows, arguments.rows * 2 // 3)
     near = raster.interpolate(scored(template)[:, None].astype(float))[..., 0] > 0.5
     body = []
@@ -259,10 +257,12 @@ def write_texture(arguments: argparse.Namespace, template: Template) -> None:
             head = make(who, arguments.rows)
             sitters = {yaw: Sitter(head, yaw, arguments.scale) for yaw in YAWS}
             shots = {
-                (light, yaw): photograph(sitters[yaw], light_of(light, NUMBER), there, f"{yaw}")
+                (light, yaw): photograph(sitters[yaw], light_of(light, NUMBER), marks, f"{yaw}")
                 for light, yaw in {key for case in CASES.values() for key in case}
             }
-            measure_texture(head, near & head.skin, shots, template, places, arguments.rows, sums)
+            measure_texture(
+                head, near & head.skin, shots, template, marks.places, arguments.rows, sums
+            )
         name = f"{kind}, unseen half" if arguments.unseen and kind == "ict" else kind
         body += [sums[case].row(f"{name} ({len(people)})", case) for case in CASES]
     if arguments.scale != 1.0:

@@ -12,12 +12,15 @@ import numpy as np
 
 from benchmarks.networks_lights import LitPoints, Points
 from benchmarks.networks_people import Head
-from learning.photo.eyes import openings
+from learning.photo.eyes import openings, whites
+from learning.photo.marks import FaceMarks, face_marks
 from learning.photo.shape_fit import Photograph
+from learning.points.network import shipped_finder
 from lightstage.faces import detect_faces
-from lightstage.faces.schemes import FACE_MESH, ibug68, seen_points
+from lightstage.faces.schemes import IBUG, INNER_LIPS, seen_points
 from lightstage.formats.environment import LightSet
 from lightstage.formats.srgb import linear_from_srgb
+from lightstage.formats.template import Template
 from lightstage.rig import Camera, look_at
 from processing.colour import srgb_from_linear
 
@@ -129,29 +132,40 @@ class Sitter:
         return codes, linear_from_srgb(codes / 255.0).astype(np.float32)
 
 
-def photograph(sitter: Sitter, lights: LightSet, there: np.ndarray, name: str) -> Photograph:
+def photograph(sitter: Sitter, lights: LightSet, marks: FaceMarks, name: str) -> Photograph:
     """An 8-bit photograph of a lit head, its face found.
 
     Args:
         sitter: who is seen.
         lights: in the world.
-        there: (468,) bool, points that the template knows.
+        marks: the points that are found.
         name: of the photograph.
     """
-    return of_codes(sitter.shot(lights)[0], there, name, sitter.camera.fx_px)
+    return of_codes(sitter.shot(lights)[0], marks, name, sitter.camera.fx_px)
 
 
-def of_codes(codes: np.ndarray, there: np.ndarray, name: str, focal_px: float | None) -> Photograph:
+def of_codes(codes: np.ndarray, marks: FaceMarks, name: str, focal_px: float | None) -> Photograph:
     """An 8-bit photograph, (h, w, 3) sRGB codes, its face found; landmarks are NaN where none is.
 
     Args:
         codes: of the picture.
-        there: (468,) bool, points that the template knows.
+        marks: the points that are found.
         name: of the photograph.
         focal_px: where the file states it.
     """
     linear = linear_from_srgb(codes / 255.0).astype(np.float32)
     faces = detect_faces(codes)
-    points = np.full((468, 2), np.nan) if not faces else seen_points(faces[0], FACE_MESH)
-    eyes_px = openings(linear, ibug68(points))
-    return Photograph(name, linear, points[there], focal_px, eyes_px)
+    if not faces:
+        lost = np.full((len(marks.places.weights), 2), np.nan)
+        return Photograph(name, linear, lost, focal_px)
+    points, weight = marks.of(codes, faces[0])
+    landmarks = seen_points(faces[0], IBUG)
+    seen = openings(linear, landmarks), whites(linear, landmarks), landmarks[INNER_LIPS]
+    return Photograph(name, linear, points, focal_px, weight, *seen)
+
+
+def marks_of(template: Template) -> FaceMarks:
+    """The points that `fit` uses by itself."""
+    marks = face_marks(template, shipped_finder(template))
+    assert marks is not None, "the template has no mediapipe468.json"
+    return marks

@@ -16,7 +16,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from learning.checkpoint import code_version, shipped_weights
+from learning.checkpoint import code_version, shipped_points, shipped_weights
 from learning.detail.command import ABOUT, detail_command
 from learning.detail.command import OWN as OF_DETAIL
 from learning.detail.config import RELIEF_MM, TIMES
@@ -317,7 +317,11 @@ def _fit_inputs(request: FitRequest) -> list[Any]:
         code_version(),
         [[path.name, _content(path)] for path in request.photographs],
         [[path.name, _content(path)] for path in template],
-        [_content(path) for path in sorted(weights.glob("*.safetensors"))],
+        [
+            _content(path)
+            for folder in (weights, shipped_points())
+            for path in sorted(folder.glob("*.safetensors"))
+        ],
         [None if path is None else _content(path) for path in named],
         [request.face, request.film_mm, request.rows, request.refine],
     ]

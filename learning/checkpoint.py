@@ -52,7 +52,7 @@ class Checkpoint:
     Attributes:
         folder: of its files.
         family: of networks: `patches`, `four_networks`, `whole_face`, `super_resolution`,
-            `mesostructure` or `occlusion`.
+            `mesostructure`, `occlusion` or `points`.
         step: training steps done.
         config: the resolved configuration.
         data_fingerprint: of the store.
@@ -328,6 +328,11 @@ def shipped_super_resolution() -> Path:
 def shipped_mesostructure() -> Path:
     """The run folder of the mesostructure network that this package brings."""
     return Path(__file__).parent / "data" / "mesostructure"
+
+
+def shipped_points() -> Path:
+    """The run folder of the network of template points that this package brings."""
+    return Path(__file__).parent / "data" / "points"
 
 
 def of_family(path: Path, family: str) -> tuple[Checkpoint, Path]:

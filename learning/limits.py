@@ -19,6 +19,7 @@ from learning.networks.discriminator import DiscriminatorConfig
 from learning.networks.generator import GeneratorConfig
 from learning.networks.whole_face import WholeFaceConfig
 from learning.photo.config import FitConfig
+from learning.points.config import PointsConfig
 from learning.render.environments import RandomLightConfig, TargetLight
 from learning.render.occlusion_network import ROWS_MULTIPLE, OcclusionNetworkConfig
 from learning.upscale.network import RcanConfig
@@ -26,7 +27,7 @@ from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config, read_toml
 
-ConfigT = TypeVar("ConfigT", FitConfig, DomainConfig)
+ConfigT = TypeVar("ConfigT", FitConfig, DomainConfig, PointsConfig)
 _POSITIVE, _ANY = 1e-30, 1e12
 LIMITS: dict[str, tuple[float, float]] = {
     "generator.width": (2, 1024),
@@ -135,6 +136,14 @@ LIMITS: dict[str, tuple[float, float]] = {
     "fit.pixel_alike_mm2": (1e-2, 1e6),
     "fit.albedo_deviation": (1e-4, 3),
     "fit.outline_mm": (1e-2, 1e3),
+    "points.faces": (1, 10_000_000),
+    "points.held_out": (1, 1_000_000),
+    "points.epochs": (1, 1_000_000),
+    "points.batch": (1, 4096),
+    "points.learning_rate": (_POSITIVE, 1),
+    "points.trunk_share": (0, 1),
+    "points.average": (0, 0.999999),
+    "points.seed": (0, 2**63 - 1),
     "regressed": (1, 1_000_000),
     "joint_steps": (0, 1_000_000_000),
     "batch": (1, 4096),
@@ -173,8 +182,8 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
     """Refuse a configuration whose numbers are out of bounds.
 
     Args:
-        config: a TrainConfig, one of its tables, a FitConfig (`table` is ``fit``) or a DomainConfig
-            (``domain``).
+        config: a TrainConfig, one of its tables, a FitConfig (`table` is ``fit``), a DomainConfig
+            (``domain``) or a PointsConfig (``points``).
         where: what to name in an error.
         table: the name of `config` within a TrainConfig; nothing for all of it.
 
@@ -216,7 +225,7 @@ def configured(
     """A command's configuration: its file's, and what options state in place of that.
 
     Args:
-        kind: a FitConfig or a DomainConfig.
+        kind: a FitConfig, a DomainConfig or a PointsConfig.
         file: TOML; the defaults where None.
         options: by the field, the option's name and its value; None where it was not given.
         table: of `LIMITS`. Errors do not name it: files have no such table.

@@ -79,10 +79,11 @@ FitConfigOption = Annotated[
 
 
 def register(app: typer.Typer) -> None:
-    """Add the commands `fit`, `avatar` and `template-points` to an application."""
+    """Add the commands `fit`, `avatar`, `template-points` and `train-points` to an application."""
     app.command("fit")(fit)
     app.command("avatar")(avatar)
     app.command("template-points")(template_points)
+    app.command("train-points")(train_points)
 
 
 def fit(
@@ -210,6 +211,37 @@ def template_points(
         f"{facts['absent']} without a place, lines of sight {facts['spread_median_mm']} mm apart "
         f"(median), a face in {facts['faces']} of {facts['pictures']} pictures, "
         f"{facts['seconds']:.0f} s",
+        facts,
+        as_json,
+    )
+
+
+def train_points(
+    data: Annotated[
+        Path, typer.Option(help="Store of maps in the template's texture, whose skins are shown.")
+    ],
+    out: Annotated[Path, output_folder("--out", help="Run to make; one that is there is refused.")],
+    template: Annotated[
+        Path,
+        typer.Option(
+            help="Template whose people are drawn: mean head, modes, population.",
+            show_default="the project's own",
+        ),
+    ] = default_template_path(),
+    config: Annotated[
+        Path | None, typer.Option("--config", help="TOML that overrides the training's defaults.")
+    ] = None,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Train the network that finds template points in photographs, on faces that it draws."""
+    from learning.points.train import train_points as train
+
+    with limited_access(group_of([data])), progress_bar("train-points") as progress:
+        facts = train(data, template, out, config, progress)
+    finish(
+        f"{out}: {counted(facts['faces'], 'face')}; on faces held out points are "
+        f"{facts['points_mm']:.1f} mm off (the detector's {facts['detector_mm']:.1f}, without "
+        f"their mean error {facts['detector_mean_off_mm']:.1f}), {facts['seconds']:.0f} s",
         facts,
         as_json,
     )

@@ -25,9 +25,11 @@ from learning.photo.config import FitConfig
 from learning.photo.eyes import openings, whites
 from learning.photo.fit import FittedHead, fit_head
 from learning.photo.grey import coloured, has_no_colour
+from learning.photo.marks import FaceMarks, face_marks
 from learning.photo.page import write_page
 from learning.photo.picture import PhotoFile, read_photograph
-from learning.photo.shape_fit import Photograph, Places, detector_places
+from learning.photo.shape_fit import Photograph, Places
+from learning.points.network import shipped_finder
 from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
@@ -144,7 +146,7 @@ def read_all(request: FitRequest, template: Template) -> tuple[list[Photograph],
     photographs = []
     for path in paths:
         file = read_photograph(path, request.film_mm)
-        photographs.append(marks.on(path, file, notes))
+        photographs.append(marks.photograph(path, file, notes))
         if file.focal_px is None:
             notes.append(
                 f"{path.name} does not state its focal length: it was fitted, and the face's depth "
@@ -174,6 +176,7 @@ class Marks:
             FormatError: a file of landmarks that cannot be read.
         """
         self._face = request.face
+        self._marks: FaceMarks | None = None
         self._file = request.landmarks
         self._stated: dict[str, np.ndarray] = {}
         self._taken: dict[str, Path] = {}
@@ -182,7 +185,9 @@ class Marks:
             scheme = str(read_json(self._file, "lightstage.landmarks/1").get("scheme"))
             self._stated = read_points_px(self._file, scheme if scheme == FACE_MESH else IBUG)
         if scheme == FACE_MESH:
-            found = detector_places(template)
+            # Points that are stated in a file are the detector's, or clicked: they count alone.
+            finder = None if self._file is not None else shipped_finder(template)
+            found = face_marks(template, finder)
             if found is None:
                 raise MapsError(
                     request.template,
@@ -191,31 +196,37 @@ class Marks:
                     expected="the places of the detector's points on the template",
                     hint="`lightstage-learning template-points --template TEMPLATE` finds them.",
                 )
-            self.places, self._there = found
+            self.places, self._there, self._marks = found.places, found.there, found
         else:
             self._there = np.ones(len(template.landmarks), bool)
             corners = np.repeat(template.landmarks[:, None], 3, axis=1)
             weights = np.tile([1.0, 0.0, 0.0], (len(corners), 1))
             self.places = Places(corners, weights, np.zeros(len(corners)))
 
-    def on(self, path: Path, file: PhotoFile, notes: list[str]) -> Photograph:
-        """Make a photograph of a file, with landmarks, eyes and mouth.
+    def photograph(self, path: Path, file: PhotoFile, notes: list[str]) -> Photograph:
+        """Make a photograph of a file: landmarks, how much they count, eyes and mouth.
 
         Raises:
             MapsError: no face, no face of that number, or none in the file of landmarks, or those
                 of two photographs in one.
         """
-        rgb = file.rgb_linear
+        rgb, weight = file.rgb_linear, None
         if self._file is not None:
-            points = file.scale * self._stated_in(self._file, path)
+            stated = file.scale * self._stated_in(self._file, path)
+            marks = stated if len(stated) == len(IBUG_PAIRS) else ibug68(stated)
+            points = stated[self._there]
         else:
-            points = self._detected(path, rgb, notes)
-        marks = points if len(points) == len(IBUG_PAIRS) else ibug68(points)
+            shown = np.round(255 * srgb_from_linear(rgb)).astype(np.uint8)
+            face = self._detected_in(shown, path, notes)
+            marks = seen_points(face, IBUG)
+            assert self._marks is not None
+            points, weight = self._marks.of(shown, face)
         return Photograph(
             path.name,
             rgb,
-            points[self._there],
+            points,
             file.focal_px,
+            weight,
             openings(rgb, marks),
             whites(rgb, marks),
             marks[INNER_LIPS],
@@ -242,8 +253,7 @@ class Marks:
             expected="the landmarks of each photograph, by its file's name",
         )
 
-    def _detected(self, path: Path, rgb_linear: np.ndarray, notes: list[str]) -> np.ndarray:
-        shown = np.round(255 * srgb_from_linear(rgb_linear)).astype(np.uint8)
+    def _detected_in(self, shown: np.ndarray, path: Path, notes: list[str]) -> Face:
         faces = _faces(shown)
         if len(faces) < self._face:
             found = counted(len(faces), "face") if faces else "no face"
@@ -266,7 +276,7 @@ class Marks:
                 f"{path.name}: the detector is {100 * face.presence:.0f} % sure that this is a "
                 "face; inspect the fit over it"
             )
-        return seen_points(face, FACE_MESH)
+        return face
 
 
 def _faces(shown: np.ndarray) -> list[Face]:

@@ -48,6 +48,7 @@ class Sighting:
         focal_px: where the file states it, else None.
         sigma_px: standard deviation of a landmark; None for the configuration's share of the eyes'
             distance.
+        weight: (p,) how much each landmark counts; all the same where None.
     """
 
     points_px: np.ndarray
@@ -55,6 +56,7 @@ class Sighting:
     height_px: int
     focal_px: float | None = None
     sigma_px: float | None = None
+    weight: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -278,6 +280,8 @@ class Problem:
         local = here.local
         seen = self.seen[index] & (local[:, 2] > 1.0)
         weight = seen * self.trust
+        if sighting.weight is not None:
+            weight = weight * sighting.weight
         if self.normals is not None:
             toward = -local / np.linalg.norm(local, axis=1, keepdims=True)
             rotation = at.rotation[index].as_matrix()

