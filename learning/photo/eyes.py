@@ -102,14 +102,13 @@ def _white_of(rgb: np.ndarray, eye: Eye) -> np.ndarray | None:
     if not min(part.shape[:2]):
         return None
     # An eye of few pixels is enlarged, so that its outlines fall between them.
-    part = cv2.resize(part, None, fx=FINER, fy=FINER, interpolation=cv2.INTER_LINEAR)
-    inside = np.zeros(part.shape[:2], np.uint8)
+    fine = cv2.resize(part, None, fx=FINER, fy=FINER, interpolation=cv2.INTER_LINEAR)
+    inside = np.zeros(fine.shape[:2], np.uint8)
     cv2.fillPoly(inside, [np.round((eye.lids_px - low) * FINER).astype(np.int32)], 1)
     middle = np.round((eye.iris_px - low) * FINER).astype(int).tolist()
     cv2.circle(inside, middle, round(IRIS_BORDER * eye.radius_px * FINER), 0, -1)
     edge = 2 * round(LID_BORDER * eye.radius_px * FINER) + 1
-    inside = cv2.erode(inside, np.ones((edge, edge), np.uint8))
-    seen = part[inside > 0]
+    seen = fine[cv2.erode(inside, np.ones((edge, edge), np.uint8)) > 0]
     if len(seen) < LEAST_WHITE_PX * FINER**2:
         return None
     level = seen.mean(axis=1)

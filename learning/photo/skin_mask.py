@@ -88,7 +88,8 @@ def open_mouth(lips_px: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         near = np.clip(lips_px, -1, np.array(shape[1::-1]))
         cv2.fillPoly(inside, [np.round(near).astype(np.int32)], 1)
         border = 2 * max(1, round(LIPS_BORDER * width)) + 1
-        inside = cv2.dilate(inside, np.ones((border, border), np.uint8))
+        wide = cv2.dilate(inside, np.ones((border, border), np.uint8))
+        return np.asarray(wide > 0)
     return inside > 0
 
 
@@ -120,8 +121,8 @@ def hair_texels(template: Template, raster: UvRaster) -> np.ndarray | None:
     share = raster.interpolate(inside[:, None].astype(np.float32))[..., 0].astype(np.float32)
     # A region has the corners of a template's quads, which hair has not.
     weight = cv2.GaussianBlur(raster.covered.astype(np.float32), (0, 0), HAIRLINE * len(share))
-    share = cv2.GaussianBlur(share, (0, 0), HAIRLINE * len(share)) / np.maximum(weight, 1e-3)
-    return np.asarray(raster.covered & (share > 0.5))
+    soft = cv2.GaussianBlur(share, (0, 0), HAIRLINE * len(share)) / np.maximum(weight, 1e-3)
+    return np.asarray(raster.covered & (soft > 0.5))
 
 
 def _of_regions(template: Template, names: tuple[str, ...]) -> np.ndarray:
