@@ -8,7 +8,7 @@ TRIED  := $(VENV)/.tried
 # Errors alone: pip warns of every package that one of a machine's own indexes does not have.
 INSTALL := $(BIN)/python -m pip install --quiet --quiet --no-cache-dir
 # Benchmarks that ask for folders or pictures are called by hand.
-BY_HAND := atlas_rerender atlas_session avatar_pictures geometry_pictures likeness registration_pictures \
+BY_HAND := atlas_rerender atlas_session geometry_pictures likeness registration_pictures \
   template_loops_picture
 BENCHMARKS = $(filter-out $(BY_HAND) stale, $(notdir $(basename $(shell grep -l '__name__ == "__main__"' benchmarks/*.py))))
 # Processes that share the tests. A third one on two cores fills waits (a device's answer, a deadline)

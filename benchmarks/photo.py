@@ -4,8 +4,8 @@
 people of ICT's model, the scanned head) under lights of the simulator, finds their faces and fits
 them, by their landmarks alone and by their pixels too. The error of a shape is the mean distance of
 corresponding vertices of the face after the best similarity; ICT's people and the scan correspond
-as far as their registration does. Along the normal no correspondence is needed. ``--texture`` holds
-one photograph against three as one texture, ``--expression smile`` has people of models smile.
+as far as their registration does. Along the normal no correspondence is needed.
+``--expression smile`` has people of models smile.
 """
 
 from __future__ import annotations
@@ -27,21 +27,12 @@ from benchmarks.photo_studio import (
     marks_of,
     photograph,
 )
-from benchmarks.photo_texture import (
-    CASES,
-    FIRST,
-    HEADER,
-    Sums,
-    measure_texture,
-)
-from benchmarks.photo_texture import YAWS_DEG as YAWS
 from benchmarks.record import record, table
 from learning.checkpoint import load_whole_face, shipped_weights
 from learning.photo.config import FitConfig
 from learning.photo.fit import FittedHead, fit_head
 from learning.photo.model import NOSE_TIP, shape_model
 from learning.photo.shape_fit import Photograph, fit_shape
-from learning.render.uv import rasterise
 from learning.render.view import render_view
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import vertex_normals
@@ -194,12 +185,8 @@ def main() -> None:
         "--expression", default=NEUTRAL, choices=(NEUTRAL, *EXPRESSIONS), help="of all but the scan"
     )
     parser.add_argument("--shape-alone", action="store_true", help="without light and texture")
-    parser.add_argument("--texture", action="store_true", help="one against three photographs")
     arguments = parser.parse_args()
     template = load_template(default_template_path())
-    if arguments.texture:
-        write_texture(arguments, template)
-        return
     rows = []
     kinds = [
         k for k in arguments.people.split(",") if arguments.expression == NEUTRAL or k != "scan"
@@ -242,41 +229,6 @@ def main() -> None:
         "similarity, mm, and its part along the normal."
     )
     record(title, header, rows, note)
-
-
-def write_texture(arguments: argparse.Namespace, template: Template) -> None:
-    """One photograph against three of each person, as one texture."""
-    marks = marks_of(template)
-    raster = rasterise(template.mesh, arguments.rows, arguments.rows * 2 // 3)
-    near = raster.interpolate(scored(template)[:, None].astype(float))[..., 0] > 0.5
-    body = []
-    for kind in arguments.people.split(","):
-        sums = {case: Sums() for case in CASES}
-        people = chosen([kind], arguments.count, arguments.unseen)
-        for who in people:
-            head = make(who, arguments.rows)
-            sitters = {yaw: Sitter(head, yaw, arguments.scale) for yaw in YAWS}
-            shots = {
-                (light, yaw): photograph(sitters[yaw], light_of(light, NUMBER), marks, f"{yaw}")
-                for light, yaw in {key for case in CASES.values() for key in case}
-            }
-            measure_texture(
-                head, near & head.skin, shots, template, marks.places, arguments.rows, sums
-            )
-        name = f"{kind}, unseen half" if arguments.unseen and kind == "ict" else kind
-        body += [sums[case].row(f"{name} ({len(people)})", case) for case in CASES]
-    if arguments.scale != 1.0:
-        print(table(HEADER, body))
-        return
-    record(
-        "One texture from several photographs" + (", the unseen half" * arguments.unseen),
-        HEADER,
-        body,
-        f"`python -m benchmarks.photo --texture`: photographs of {WIDTH_PX} x {HEIGHT_PX} px, yaw "
-        f"{', '.join(map(str, YAWS))} degrees, light {FIRST}, or the other two under front and "
-        f"warm-cool; textures of {arguments.rows} rows. PSNR of sRGB values, over skin of the face "
-        "and over all skin of the head.",
-    )
 
 
 def _row(name: str, scores: Scores) -> list[str]:
