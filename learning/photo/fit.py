@@ -26,8 +26,7 @@ from learning.photo.eye_texels import eye_texels, with_eyes
 from learning.photo.foreground import foreground
 from learning.photo.fringe import Forehead
 from learning.photo.large_texture import Enlarging, Shown, brighter, finest, rows_of_search
-from learning.photo.own_skin import PhotographedSkin
-from learning.photo.own_skin import Places as SkinPlaces
+from learning.photo.own_skin import PersonTexels, PhotographedSkin
 from learning.photo.several import Joined, View, join
 from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape
 from learning.photo.skin_mask import (
@@ -163,7 +162,7 @@ def fit_head(
     network_sees = together.first & first.skin & ~first.own_hair
     own_eyes = _own_eyes(texels, together.source)
     skin = PhotographedSkin(
-        SkinPlaces(first.features, first.beard, own_eyes, first.hair, ~first.skin),
+        PersonTexels(first.features, first.beard, own_eyes, first.hair, ~first.skin),
         skin_colours(network),
         photographs[0].whites,
     )

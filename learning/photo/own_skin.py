@@ -70,7 +70,7 @@ PHOTOGRAPHED = LightSearch(most_lamps=2, half_at=0.25)
 
 
 @dataclasses.dataclass(frozen=True)
-class Places:
+class PersonTexels:
     """Where what is on a person's texture.
 
     Attributes:
@@ -103,7 +103,7 @@ class PhotographedSkin:
         tone: of the skin, once it was found.
     """
 
-    places: Places
+    places: PersonTexels
     people: SkinColours
     whites: np.ndarray | None = None
     normals_off: float = 0.15

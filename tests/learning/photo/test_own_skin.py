@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from learning.checkpoint import load_whole_face, shipped_weights
 from learning.photo.face_light import harmonics
-from learning.photo.own_skin import PhotographedSkin, Places, grain_beyond, light_left
+from learning.photo.own_skin import PersonTexels, PhotographedSkin, grain_beyond, light_left
 from learning.photo.tone import SkinColours, skin_colours
 from learning.whole.refine import TakenOut
 
@@ -60,12 +60,12 @@ def plain(share: float = 1.0) -> np.ndarray:
     return np.tile(share * SKIN, (ROWS, COLUMNS, 1)).astype(np.float32)
 
 
-def places(features: np.ndarray = NOTHING, **named: np.ndarray) -> Places:
+def places(features: np.ndarray = NOTHING, **named: np.ndarray) -> PersonTexels:
     given = {"eyes": None, "hair": None, "other": NOTHING, **named}
-    return Places(features, NOTHING, given["eyes"], given["hair"], given["other"])
+    return PersonTexels(features, NOTHING, given["eyes"], given["hair"], given["other"])
 
 
-def albedo_of(taken: TakenOut, where: Places, people: SkinColours) -> np.ndarray:
+def albedo_of(taken: TakenOut, where: PersonTexels, people: SkinColours) -> np.ndarray:
     own = PhotographedSkin(where, people).own(taken)
     return own.albedo(taken.unlit)
 
