@@ -321,6 +321,8 @@ def light_left(taken: TakenOut, skin: np.ndarray) -> np.ndarray:
         off_by = PATTERN_OFF[tint]
         found[index] = _robust(basis, off[use] @ term, spread, off_by)[:-1]
     left[surface] = (columns(surface) @ found.T) @ np.linalg.inv(GREY).T
+    # What is the same everywhere is the tone's, which is found afterwards.
+    left[surface] -= left[use].mean(axis=0)
     return left
 
 

@@ -26,8 +26,8 @@ EXPOSED = 0.5, 0.12, 0.15
 balance of a photograph that somebody found right."""
 WHITE_OF_EYE = np.array([0.60, 0.53, 0.50])
 """Linear albedo of the white of an eye, whose vessels and lens make it warmer than grey."""
-WHITE_SEEN = 0.25, 0.12, 0.15
-"""Its standard deviations among people and by its measurement."""
+WHITE_SEEN = 0.25, 0.3, 0.3
+"""Its standard deviations among people and by its measurement: narrow eyes show the lids' red."""
 SHADED = 0.5
 """Standard deviation of the logarithm by which lids and brow shade the whites: they show how strong
 the light is at least."""
