@@ -63,9 +63,9 @@ COARSE_ROWS = 384
 LEAST_SEEN = 0.05
 """Share of the face's texels that a photograph must show."""
 LARGEST_MISFIT = 3.0
-"""Of a light by which skin is distinguished from what else a photograph shows. Shadows fall a little
-beside where the fitted shape casts them: hard lights leave 1.8 to 2.4 and are found within 7 to 17
-degrees; a hat or glasses leave 3.4. The last light, without these, is taken whatever it leaves."""
+"""Of a light by which skin is distinguished from what else a photograph shows. Shadows fall a
+little beside where the fitted shape casts them: hard lights leave 1.8 to 2.4 and are found within 7
+to 17 degrees; a hat or glasses leave 3.4. The last light, without these, is taken in any case."""
 MOST_ASIDE_DEG = 15.0
 """How far off straight in front a photograph fills the texels of eyes, at most. Seven photographs
 from in front gained 1.4 dB of albedo, four from 20 and 35 degrees to the side, where the shape's
