@@ -26,7 +26,7 @@ TWELVE = (*GROUPS, "random", "studio")
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """What became of a photograph.
+    """Score of a photograph.
 
     Attributes:
         name: of it.

@@ -111,7 +111,7 @@ class Compared:
 
     @property
     def person(self) -> str:
-        """Who is shown."""
+        """Name of who is shown."""
         return self.name.split("_")[0]
 
 

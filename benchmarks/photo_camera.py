@@ -24,7 +24,7 @@ FILM_MM = 36.0
 FOCAL_MM = (28.0, 200.0)
 METERS = ("face", "centre", "scene", "key")
 GREY, GREY_STOPS = 0.18, 0.3
-"""What a metered mean becomes, and the deviation of that in stops."""
+"""Value that a metered mean gets, and the deviation of that in stops."""
 KEY, KEY_CODE = 95.0, (0.6, 0.9)
 """Percentile of the face's luminance that `key` meters, and the display value it becomes."""
 BALANCE = 0.1
@@ -39,7 +39,7 @@ LENS_PX = 0.6
 
 @dataclasses.dataclass(frozen=True)
 class Shooting:
-    """How a photograph was taken.
+    """Settings of a photograph.
 
     Attributes:
         focal_mm: as on 35 mm film.

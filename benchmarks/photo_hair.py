@@ -43,7 +43,7 @@ LIP_COLOURS = ((0.30, 0.03, 0.05), (0.45, 0.10, 0.14), (0.12, 0.015, 0.03))
 
 @dataclasses.dataclass(frozen=True)
 class Looks:
-    """What a person has on the skin.
+    """Marks and hair of a person.
 
     Attributes:
         hair: colour of the scalp's hair, of `COLOURS`; None for a head as its subject has it.

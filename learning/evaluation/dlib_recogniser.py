@@ -30,7 +30,7 @@ CHIP_PX, PADDING = 150, 0.25
 FIVE = (45, 42, 36, 39, 33)
 """iBUG's numbers of the five points, in dlib's order: eye corners, then the base of the nose."""
 ENLARGED = (0, 1)
-"""How often the picture is doubled for dlib's detector, one after the other, until it finds one."""
+"""Number of times that the picture is doubled for dlib's detector, one after the other, until it finds one."""
 
 
 class DlibRecogniser:
@@ -94,9 +94,10 @@ class DlibRecogniser:
 @functools.cache
 def installed() -> DlibRecogniser | None:
     """The recogniser; None where the extra is not installed."""
-    specs = [importlib.util.find_spec(name) for name in ("dlib", PACKAGE)]
-    places = None if None in specs else specs[1].submodule_search_locations  # type: ignore[union-attr]
-    return DlibRecogniser(Path(places[0]) / "models") if places else None
+    dlib, weights = (importlib.util.find_spec(name) for name in ("dlib", PACKAGE))
+    if dlib is None or weights is None or not weights.submodule_search_locations:
+        return None
+    return DlibRecogniser(Path(weights.submodule_search_locations[0]) / "models")
 
 
 def _read(make: Any, path: Path) -> Any:

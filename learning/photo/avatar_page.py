@@ -117,7 +117,7 @@ def _fitted(folder: Path, fit: dict[str, Any], photo: Path) -> list[Section]:
 
 
 def guesses(fit: dict[str, Any], source: Source) -> list[list[str]]:
-    """What a head has that its photographs do not show for certain, a line each.
+    """List what a head has that its photographs do not show for certain, a line each.
 
     Args:
         fit: contents of fit.json.

@@ -1,4 +1,4 @@
-"""Where a photograph shows the eyes open, and how bright their whites are."""
+"""Eyes that a photograph shows open, and the brightness of their whites."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def whites(rgb_linear: np.ndarray, marks: np.ndarray) -> np.ndarray:
 
 
 def _inside_picture(places: np.ndarray, shape: tuple[int, ...]) -> bool:
-    """Whether (n, 2) places are in a picture of a shape."""
+    """Tell whether (n, 2) places are in a picture of a shape."""
     return bool((places >= 0).all() and (places < shape[1::-1]).all())
 
 

@@ -68,7 +68,7 @@ def around_head(camera: Camera, vertices: np.ndarray, size_px: tuple[int, int]) 
 
 
 def cut(image: np.ndarray, camera: Camera, part: Camera) -> np.ndarray:
-    """What a camera of `around_head` sees of a photograph of the camera it was made of.
+    """Cut out what a camera of `around_head` sees of a photograph of the camera it was made of.
 
     Args:
         image: (h, w, 3) linear, of `camera`.

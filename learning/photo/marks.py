@@ -1,4 +1,4 @@
-"""What is known of where a photographed face's points are: the detector's, and the network's."""
+"""Points of a photographed face: the detector's, and the network's."""
 
 from __future__ import annotations
 

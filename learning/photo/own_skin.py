@@ -71,7 +71,7 @@ PHOTOGRAPHED = LightSearch(most_lamps=2, half_at=0.25)
 
 @dataclasses.dataclass(frozen=True)
 class PersonTexels:
-    """Where what is on a person's texture.
+    """Parts of a person's texture.
 
     Attributes:
         features: (rows, columns) bool, eyes, brows and lips, which differ between people as they

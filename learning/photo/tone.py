@@ -19,7 +19,7 @@ from processing.tones import ita_deg
 GREY = np.array([[1 / 3, 1 / 3, 1 / 3], [1, -1, 0], [0, -1, 1]])
 """Of the logarithms of red, green and blue: their mean, red over green, and blue over green."""
 DISPLAY_WHITE = 1.0
-"""What a white surface in the key light has in a photograph that somebody found well exposed, of
+"""Value of a white surface in the key light in a photograph that somebody found well exposed, of
 display white. Cameras that meter on a face, or on a room that it is in, give more: the mean of 14
 rendered photographs is 1.4."""
 EXPOSED = 0.5, 0.12, 0.15
@@ -107,7 +107,7 @@ def cues_of(
 
 @dataclasses.dataclass(frozen=True)
 class SkinColours:
-    """How the tint of people's skin follows its lightness, by the people that a network has seen.
+    """Tints of people's skin as they follow its lightness, by the people that a network has seen.
 
     Attributes:
         lightness: mean of the mean logarithm.

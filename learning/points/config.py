@@ -1,4 +1,4 @@
-"""What the training of the network of template points is configured by."""
+"""Configuration of the training of the network of template points."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import dataclasses
 
 @dataclasses.dataclass(frozen=True)
 class PointsConfig:
-    """How the network is trained.
+    """Settings of the training.
 
     Attributes:
         faces: number of faces drawn; each is learned from mirrored, too.

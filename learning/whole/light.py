@@ -56,7 +56,7 @@ Lamps = tuple[tuple[float, float, float], ...]
 
 @dataclasses.dataclass(frozen=True)
 class LightSearch:
-    """How the light of a texture is sought.
+    """Settings of the search for a texture's light.
 
     Attributes:
         most_lamps: beside light from everywhere.
@@ -226,7 +226,7 @@ class LightFit:
         return best
 
     def _peaks(self, skin: tuple[np.ndarray, np.ndarray]) -> Lamps:
-        """Where the light of a dome of lamps is strongest, `most_lamps` places at most."""
+        """Places where the light of a dome of lamps is strongest, `most_lamps` places at most."""
         around = self.openness, AMBIENT_SHINE * self.openness
         irradiance, lobe = map(np.column_stack, zip(self._dome, around, strict=True))
         rgb, _ = self._solved(skin, irradiance, lobe, steady=1e-3)

@@ -98,7 +98,7 @@ class TakenOut:
 
 @dataclasses.dataclass(frozen=True)
 class Own:
-    """Which part of a texture over its light is the person's own.
+    """Part of a texture over its light that is the person's own.
 
     Attributes:
         known: (rows, columns) bool, where it is.
