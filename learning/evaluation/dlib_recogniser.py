@@ -30,7 +30,7 @@ CHIP_PX, PADDING = 150, 0.25
 FIVE = (45, 42, 36, 39, 33)
 """iBUG's numbers of the five points, in dlib's order: eye corners, then the base of the nose."""
 ENLARGED = (0, 1)
-"""Number of times that the picture is doubled for dlib's detector, one after the other, until it finds one."""
+"""Doublings of the picture for dlib's detector, one after the other, until it finds a face."""
 
 
 class DlibRecogniser:
