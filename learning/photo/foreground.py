@@ -31,7 +31,7 @@ def foreground(rgb_linear: np.ndarray, mesh: Mesh, face: np.ndarray, camera: Cam
 
     Args:
         rgb_linear: (h, w, 3) photograph.
-        mesh: the fitted head, in the camera's world.
+        mesh: the fitted head, in the camera's world, y upward.
         face: (n,) bool, vertices that surely are the person's.
         camera: of the photograph.
 
@@ -54,9 +54,16 @@ def foreground(rgb_linear: np.ndarray, mesh: Mesh, face: np.ndarray, camera: Cam
     marks = np.where(head, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     marks[behind] = cv2.GC_BGD
     # Dark hair before a dark wall has the wall's colours; so far inside its outline it is the head.
+    # Below the face a collar may be inside.
     inner = 2 * _reach(head) + 1
     bordered = np.pad(head.astype(np.uint8), 1)
-    sure |= cv2.erode(bordered, np.ones((inner, inner), np.uint8))[1:-1, 1:-1] > 0
+    inside = cv2.erode(bordered, np.ones((inner, inner), np.uint8))[1:-1, 1:-1] > 0
+    height = mesh.vertices[:, 1]
+    beside_face = np.zeros_like(head)
+    if face.any():
+        above = height[mesh.triangles()].min(axis=1) > height[face].min()
+        beside_face[head] = above[triangle[head]]
+    sure |= inside & beside_face
     marks[sure] = cv2.GC_FGD
     colours_behind, colours_of_person = np.zeros((1, 65)), np.zeros((1, 65))
     anywhere = (0, 0, 0, 0)
