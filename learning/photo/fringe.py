@@ -13,12 +13,12 @@ import itertools
 import cv2
 import numpy as np
 
-from learning.photo.skin_mask import BROWS, hair_texels, mean_around
+from learning.photo.skin_mask import BROWS, MOUTH, hair_texels, mean_around
 from learning.render.uv import UvRaster
 from learning.whole.scalp import log_colour
 from lightstage.formats.template import Template
 
-EYES, MOUTH = slice(36, 48), slice(48, 68)
+EYES = slice(36, 48)
 """In iBUG's order."""
 ASIDE_MM = 55.0
 """Half of the width of the cheeks."""

@@ -8,7 +8,7 @@ import numpy as np
 FAR = np.float32(1e9)
 """Depth where nothing is."""
 BIAS_MM = np.float32(3.0)
-"""How much nearer to the lamp something is that shadows a place."""
+"""Distance by which what shadows a place is nearer to the lamp."""
 
 
 @numba.njit(cache=True, error_model="numpy")

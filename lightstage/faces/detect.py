@@ -29,7 +29,7 @@ PASSES = 3
 SMALL_PX = 512
 """Longer side of the small copy, which is turned for detection."""
 PARTS = (4, 8)
-"""How often a part goes into the longer side of a picture that is searched for small faces."""
+"""Parts along the longer side of a picture that is searched for small faces."""
 SURE = 0.9
 """Confidence from which there is surely a face."""
 LARGEST = 1 << 15

@@ -24,7 +24,7 @@ ABOVE_GLABELLA_MM = 12.0
 
 
 class HeadMeasures:
-    """Where a template is measured."""
+    """Places at which a template is measured."""
 
     def __init__(self, template: Template, mean_mm: np.ndarray) -> None:
         """Find the places.
