@@ -5,8 +5,7 @@ another seed, people of ICT's model, the scanned head) under lights of the simul
 each, and scores what `avatar` finds over skin of the face with the weights as shipped. ``--part
 camera`` has a camera between that meters, balances and curves, and people with hair, beards, spots
 and glasses: albedo and tone from the worst tone to the best, and twelve photographs of one person.
-``--part lights`` and ``--part photographs`` hold ten lights and six photographs of one person
-against each other, ``--part speed`` and ``--part export`` measure seconds and memory. Truth and new
+``--part speed`` and ``--part export`` measure seconds and memory. Truth and new
 lights are the simulator's own rendering on the true shape: these are no figures of real people.
 
 The scanned head is Infinite, 3D Head Scan by Lee Perry-Smith, CC BY 3.0, based on a work at
@@ -16,36 +15,23 @@ www.triplegangers.com. Its true albedo is its texture, with some shading baked i
 from __future__ import annotations
 
 import argparse
-import itertools
 
 import numpy as np
 
 from benchmarks.avatar_camera import measure_camera
 from benchmarks.avatar_photos import AVATAR, HARMONIC, MEAN, TEXTURE, Case, Score, score
 from benchmarks.avatar_speed import SIZES, measure_export, measure_speed
-from benchmarks.networks_lights import GROUPS
 from benchmarks.networks_people import KINDS, Who, chosen
 from benchmarks.networks_scores import db, specular_share
 from benchmarks.record import record
-from learning.bootstrap import interval
 from learning.evaluation.people import by_tone, spread
-from processing.colour import srgb_from_linear
 from processing.tones import tone_of
 
 ROWS, COUNT = 384, 3
 LIGHTS = ("front", "hard-oblique", "studio", "warm-cool", "hard-side", "random")
 """Of the people, in turn."""
-VIEWS = (
-    ("front", 0.0),
-    ("studio", 20.0),
-    ("warm-cool", -20.0),
-    ("hard-oblique", 35.0),
-    ("random", -35.0),
-    ("hard-above", 0.0),
-)
-"""Light and the camera's place of the six photographs of one person."""
 GUESSES = (AVATAR, TEXTURE, HARMONIC, MEAN)
-PARTS = ("people", "camera", "lights", "photographs", "speed", "export")
+PARTS = ("people", "camera", "speed", "export")
 
 
 def main() -> None:
@@ -68,9 +54,6 @@ def main() -> None:
         write_people(title, chosen(kinds, asked.count, asked.unseen), asked.rows)
     if "camera" in parts:
         measure_camera(title, asked.unseen)
-    for part in ("lights", "photographs"):
-        if part in parts:
-            write_agreement(title, part, chosen(kinds[:1], 1, asked.unseen), asked.rows)
     if "speed" in parts:
         measure_speed(title, SIZES)
     if "export" in parts:
@@ -166,48 +149,6 @@ def write_people(title: str, people: list[Who], rows: int) -> None:
         ],
         f"The photographs of the table of the same name. The worst tone's error over the best's: "
         f"{spread(tones):.1f}.",
-    )
-
-
-def write_agreement(title: str, part: str, people: list[Who], rows: int) -> None:
-    """Photographs of one person, of the first kind of heads, held against each other."""
-    body = []
-    views = tuple((light, 0.0) for light in GROUPS) if part == "lights" else VIEWS
-    for who in people:
-        scores = []
-        for light, yaw_deg in views:
-            found = score(Case(who, light, yaw_deg, rows))
-            if found is not None:
-                scores.append(found)
-                print(f"{who.name}, {light}: {db([found.albedo[AVATAR]]):.1f} dB", flush=True)
-        albedos = [srgb_from_linear(each.sample) for each in scores]
-        pairs = [
-            -10 * float(np.log10(max(float(np.square(a - b).mean()), 1e-12)))
-            for a, b in itertools.combinations(albedos, 2)
-        ]
-        between = interval(pairs)
-        tone = "" if who.tone is None else f", tone {who.tone}"
-        body.append(
-            [
-                f"{who.kind}{tone}",
-                str(len(scores)),
-                f"{between.mean:.1f}",
-                f"{min(pairs):.1f} to {max(pairs):.1f}",
-                f"{db(each.albedo[AVATAR] for each in scores):.1f}",
-                str(len(views) - len(scores)),
-            ]
-        )
-    record(
-        f"{title}: {'ten lights' if part == 'lights' else 'six photographs'} of one person",
-        ["head", "photographs", "agree, dB", "pairs from, to", "albedo dB", "faces not found"],
-        body,
-        "PSNR between the albedos of each pair of photographs, over skin of the face, mean over "
-        f"pairs; textures of {rows} rows."
-        + (
-            " All from in front."
-            if part == "lights"
-            else f" Lights and yaw: {', '.join(f'{n} {y:g}' for n, y in VIEWS)}."
-        ),
     )
 
 

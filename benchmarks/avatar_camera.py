@@ -8,7 +8,7 @@ import pickle
 
 import numpy as np
 
-from benchmarks.avatar_photos import SAMPLED, code_commit, fitted, write
+from benchmarks.avatar_photos import code_commit, fitted, write
 from benchmarks.camera_cases import Fit, Known, albedo_score, cases, known, light_to_dark
 from benchmarks.networks_lights import GROUPS
 from benchmarks.networks_scores import db, light_deg
@@ -22,6 +22,8 @@ ONE_TONE = 5
 """The person of twelve photographs has at least this tone."""
 TWELVE = (*GROUPS, "random", "studio")
 """Lights of one person's photographs, each by a camera of its own."""
+SAMPLED = 4
+"""Each so many-th texel a side of the face's albedo is kept, to compare photographs with."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -49,8 +49,6 @@ from processing.tones import ita_deg
 SETTLES_SECONDS = 120.0
 """For the search of the light, which ends by itself before that: a busy machine finds the same."""
 CODE = ("benchmarks/*.py", "learning", "lightstage", "processing", "sim")
-SAMPLED = 4
-"""Each so many-th texel a side of the face's albedo is kept, to compare photographs with."""
 AVATAR, TEXTURE, HARMONIC, MEAN = (
     "avatar",
     "texture as albedo",
@@ -98,7 +96,6 @@ class Score:
         light_deg: between the strongest lamps.
         masked: share of the seen face that was taken for no skin.
         known: share of the face that the photograph shows.
-        sample: (n, 3) found albedo at places that are the same in each photograph of a head.
         seconds: of the fit.
     """
 
@@ -114,7 +111,6 @@ class Score:
     light_deg: float
     masked: float
     known: float
-    sample: np.ndarray
     seconds: float
 
 
@@ -267,6 +263,5 @@ def scored_fit(case: Case, found: FittedHead, seconds: float) -> Score:
         ),
         found.masked,
         float(seen.sum() / face.sum()),
-        maps["diffuse_albedo"][::SAMPLED, ::SAMPLED][face[::SAMPLED, ::SAMPLED]],
         seconds,
     )

@@ -22,9 +22,10 @@ DISPLAY_WHITE = 1.0
 """Value of a white surface in the key light in a photograph that somebody found well exposed, of
 display white. Cameras that meter on a face, or on a room that it is in, give more: the mean of 14
 rendered photographs is 1.4."""
-EXPOSED = 0.5, 0.12, 0.15
+EXPOSED = 0.8, 0.12, 0.15
 """Standard deviations of the logarithm of that, in the terms of `GREY`: exposure, and the white
-balance of a photograph that somebody found right."""
+balance of a photograph that somebody found right. Cameras that meter on a face make a dark one as
+bright as a light one (docs/notes/photo.md)."""
 WHITE_OF_EYE = np.array([0.60, 0.53, 0.50])
 """Linear albedo of the white of an eye, whose vessels and lens make it warmer than grey."""
 WHITE_SEEN = 0.25, 0.3, 0.3
@@ -32,8 +33,9 @@ WHITE_SEEN = 0.25, 0.3, 0.3
 SHADED = 0.5
 """Standard deviation of the logarithm by which lids and brow shade the whites: they show how strong
 the light is at least."""
-NETWORK_OFF = 0.4, 0.12, 0.15
-"""Standard deviations of the network's tone, which no camera's metering was in the training of."""
+NETWORK_OFF = 0.25, 0.12, 0.15
+"""Standard deviations of the network's tone; on a photograph of another kind than its training's it
+is far off, and loses weight (`HALF_AT`)."""
 TINT_OFF = 0.10, 0.12
 """Standard deviations of red and of blue over green among people of one lightness: blood, bile and
 sun, beside melanin, which the trained people have."""
