@@ -12,6 +12,7 @@ from learning.photo.tone import (
     DISPLAY_WHITE,
     GREY,
     LIGHTEST,
+    NETWORK_DARKER,
     WHITE_OF_EYE,
     Cue,
     SkinColours,
@@ -34,7 +35,8 @@ def lightness(rgb: np.ndarray) -> float:
 
 def test_cues_that_agree_give_the_skin_and_its_typology_angle(people: SkinColours) -> None:
     whites = np.tile(DISPLAY_WHITE * WHITE_OF_EYE, (2, 1))
-    found = find_tone(cues_of(DISPLAY_WHITE * BROWN, whites, BROWN), people)
+    network = BROWN * np.exp(-NETWORK_DARKER)
+    found = find_tone(cues_of(DISPLAY_WHITE * BROWN, whites, network), people)
     np.testing.assert_allclose(found.rgb, BROWN, rtol=0.1)
     assert found.span_deg[0] < found.ita_deg < found.span_deg[1]
     assert set(found.cues) == {"exposure", "whites of the eyes", "network"}
