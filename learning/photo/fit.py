@@ -151,7 +151,7 @@ def fit_head(
             notes.append(f"{photograph.name} gives the shape alone, no texture: {error}")
         else:
             looked.append(found)
-            notes += [found.note] * (found.note is not None)
+            notes += [] if found.note is None else [found.note]
         progress(2 + index, steps)
     rows = rows_of_search(config.rows, config.search_rows)
     texels = [_Texels(each, rows, template, shape.model.face, super_resolution) for each in looked]
@@ -344,7 +344,7 @@ def _look(
         note = f"{photograph.name}: glasses were removed; the skin behind the frame is guessed"
         if dark:
             photograph = dataclasses.replace(photograph, eyes_px=None, whites=None)
-            note = f"{photograph.name}: sunglasses were removed; the eyes and what is around them are guessed"
+            note = f"{photograph.name}: sunglasses were removed; the eyes behind them are guessed"
     nothing = np.zeros((COARSE_ROWS, COARSE_ROWS * 2 // 3), bool)
     looked = _Looked(photograph, index, mesh, camera, person, nothing, nothing, 0.0, None, note)
     coarse = _Texels(looked, COARSE_ROWS, template, vertices)

@@ -105,7 +105,7 @@ class Frame:
         return np.stack(
             [
                 _rim(self.power, self.half[0] + wider, self.half[1] + wider, angle)
-                + (self.shift + side * self.middle, self.level)
+                + np.array([self.shift + side * self.middle, self.level])
                 for side in (-1, 1)
             ]
         )
@@ -141,9 +141,8 @@ class LensPlane:
         x, y = np.meshgrid(self._across, self._up)
         place = np.stack([x, y, np.full_like(x, BEFORE_EYES_MM)], axis=-1) + middle
         self._pixel = camera.project(place.reshape(-1, 3))[0].reshape(*self.shape, 2)
-        self.log = np.log(
-            np.maximum(sampled(rgb_linear, self._pixel.reshape(-1, 2)), DARKEST)
-        ).reshape(*self.shape, 3)
+        seen = sampled(rgb_linear, self._pixel.reshape(-1, 2))
+        self.log = np.log(np.maximum(seen, DARKEST)).reshape((*self.shape, 3))
         self._size = rgb_linear.shape[1::-1]
 
     def at(self, points_mm: np.ndarray) -> np.ndarray:
@@ -287,7 +286,7 @@ def _best(plane: LensPlane, lines: np.ndarray) -> Frame:
         # Of frames whose lower rims are alike, the one whose upper rims show too.
         fits = least
         if least > LEAST_SHOWN:
-            fits += np.mean([shown(rim, round_normals) for rim in frame.rims(ROUND_ABOUT)])
+            fits += sum(shown(rim, round_normals) for rim in frame.rims(ROUND_ABOUT)) / 2
         if fits > best_fit:
             best_fit = fits
             best = dataclasses.replace(frame, bridge=float(at), shown=least)
@@ -295,12 +294,13 @@ def _best(plane: LensPlane, lines: np.ndarray) -> Frame:
 
 
 def _lines(plane: LensPlane) -> tuple[np.ndarray, np.ndarray]:
-    """(WAYS, rows, columns) strength 0..1 of dark lines and of bright ones across each direction."""
+    """(WAYS, rows, columns) strength 0..1 of dark and of bright lines across a direction."""
     light = (plane.log @ LUMINANCE).astype(np.float32)
     soft = cv2.GaussianBlur(light, (0, 0), LINE_MM / STEP_MM)
     reach = 2 * round(BESIDE_MM / STEP_MM) + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
-    dark, bright = [], []
+    dark: list[np.ndarray] = []
+    bright: list[np.ndarray] = []
     for way in range(WAYS):
         angle = np.pi * way / WAYS
         step = SIDE_MM / STEP_MM * np.array([np.cos(angle), -np.sin(angle)])
