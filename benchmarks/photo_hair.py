@@ -17,7 +17,7 @@ from sim.head.grid import smoothstep
 from sim.light.texture import raster_uv, texture_of
 from sim.people.clothing import dressed
 from sim.people.subject import Subject
-from sim.people.worn import BROWS, CHIN, glasses
+from sim.people.worn import BROWS, CHIN, dark_lenses, glasses
 from sim.skin.chart import Chart, curve, draw_lines, empty
 
 ROUND_MM = 85.0
@@ -37,6 +37,7 @@ DARK_TONE = 4
 GREYS = ("grey", "white")
 BEARDS = ("none", "stubble", "moustache", "goatee", "full")
 FRAME = (0.02, 0.018, 0.016)
+LENS_ROUGHNESS = 0.1
 NOSE, MOUTH, OUTER, INNER, TOP_LIP = 33, (48, 54), slice(48, 60), slice(60, 68), 51
 LIP_COLOURS = ((0.30, 0.03, 0.05), (0.45, 0.10, 0.14), (0.12, 0.015, 0.03))
 
@@ -56,6 +57,7 @@ class Looks:
         folds: depth of the lines beside the mouth and on the forehead, 0 to 1.
         lips: (3,) linear colour of make-up; None without.
         glasses: a frame before the eyes.
+        dark: its lenses are dark.
     """
 
     hair: str | None
@@ -68,6 +70,7 @@ class Looks:
     folds: float
     lips: tuple[float, float, float] | None
     glasses: bool
+    dark: bool = False
 
 
 def looks_of(who: Who) -> Looks:
@@ -315,4 +318,9 @@ def worn(subject: Subject, looks: Looks) -> Subject:
     """The subject as it is photographed: with glasses, which shadow the skin and hide some."""
     if not looks.glasses:
         return subject
-    return dressed(subject, glasses(subject), FRAME, 0.04)
+    wearing = dressed(subject, glasses(subject), FRAME, 0.04)
+    return (
+        dressed(wearing, dark_lenses(subject), FRAME, 0.04, LENS_ROUGHNESS)
+        if looks.dark
+        else wearing
+    )

@@ -25,6 +25,7 @@ from learning.photo.enlarge import Enlarged, enlarged, texels_a_pixel
 from learning.photo.eye_texels import eye_texels, with_eyes
 from learning.photo.foreground import foreground
 from learning.photo.fringe import Forehead
+from learning.photo.glasses import worn_before
 from learning.photo.large_texture import Enlarging, Shown, brighter, finest, rows_of_search
 from learning.photo.own_skin import PersonTexels, PhotographedSkin
 from learning.photo.several import Joined, View, join
@@ -150,6 +151,7 @@ def fit_head(
             notes.append(f"{photograph.name} gives the shape alone, no texture: {error}")
         else:
             looked.append(found)
+            notes += [] if found.note is None else [found.note]
         progress(2 + index, steps)
     rows = rows_of_search(config.rows, config.search_rows)
     texels = [_Texels(each, rows, template, shape.model.face, super_resolution) for each in looked]
@@ -164,7 +166,7 @@ def fit_head(
     skin = PhotographedSkin(
         PersonTexels(first.features, first.beard, own_eyes, first.hair, ~first.skin),
         skin_colours(network),
-        photographs[0].whites,
+        looked[0].photograph.whites,
     )
     inferred = first.inferred(
         network,
@@ -301,6 +303,7 @@ class _Looked:
         hair: (rows, columns) bool, hair beyond where most people have it, and a cap.
         masked: share of these in the face.
         found: skin and light; None where they were not asked for.
+        note: what a user should know of it; None for nothing.
     """
 
     photograph: Photograph
@@ -312,6 +315,7 @@ class _Looked:
     hair: np.ndarray
     masked: float
     found: Inferred | None
+    note: str | None
 
 
 def _look(
@@ -332,8 +336,17 @@ def _look(
     person = foreground(photograph.rgb_linear, mesh, vertices, camera)
     if photograph.mouth_px is not None:
         person &= ~open_mouth(photograph.mouth_px, person.shape)
+    note = None
+    worn = worn_before(photograph.rgb_linear, mesh.vertices[template.landmarks], camera)
+    if worn is not None:
+        hidden, dark = worn
+        person &= ~hidden
+        note = f"{photograph.name}: glasses were removed; the skin behind the frame is guessed"
+        if dark:
+            photograph = dataclasses.replace(photograph, eyes_px=None, whites=None)
+            note = f"{photograph.name}: sunglasses were removed; the eyes behind them are guessed"
     nothing = np.zeros((COARSE_ROWS, COARSE_ROWS * 2 // 3), bool)
-    looked = _Looked(photograph, index, mesh, camera, person, nothing, nothing, 0.0, None)
+    looked = _Looked(photograph, index, mesh, camera, person, nothing, nothing, 0.0, None, note)
     coarse = _Texels(looked, COARSE_ROWS, template, vertices)
     face = coarse.raster.interpolate(vertices[:, None].astype(float))[..., 0] > 0.5
     shown = coarse.unwrapped.seen

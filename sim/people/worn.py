@@ -155,6 +155,31 @@ def glasses(subject: Subject) -> Mesh:
     return _to_world(tubes([*paths, bridge], FRAME_MM), to_head)
 
 
+def dark_lenses(subject: Subject) -> Mesh:
+    """Discs in the rims of `glasses`, which nothing is seen through; mm, world.
+
+    Raises:
+        SimError: a subject without landmarks.
+    """
+    to_head = _motion(subject)
+    marks = _to_head(subject.landmarks_mm, to_head)
+    eyes = [marks[list(eye)].mean(axis=0) for eye in EYES]
+    front = max(eye[2] for eye in eyes) + FRAME_OFF_MM
+    turn = 2 * np.pi * np.arange(POINTS) / POINTS
+    at = np.arange(POINTS)
+    vertices, faces = [], []
+    for number, eye in enumerate(eyes):
+        middle = np.array([eye[0], eye[1] - 3, front])
+        around = np.stack([LENS_MM[0] * np.cos(turn), LENS_MM[1] * np.sin(turn), 0 * turn], axis=1)
+        vertices += [middle + around, middle[None]]
+        first = number * (POINTS + 1)
+        hub = np.full(POINTS, first + POINTS)
+        faces.append(np.stack([hub, first + at, first + (at + 1) % POINTS], axis=1))
+    return _to_world(
+        Mesh(np.concatenate(vertices), np.concatenate(faces).astype(np.int32)), to_head
+    )
+
+
 def tubes(paths: Sequence[np.ndarray], radius_mm: float) -> Mesh:
     """Tubes along paths, closed at both ends, their faces outward.
 
