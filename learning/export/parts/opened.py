@@ -98,6 +98,8 @@ def is_ours(mesh: Mesh) -> bool:
     return (
         len(mesh.vertices) == len(own.vertices)
         and np.array_equal(mesh.faces, own.faces)
+        and mesh.face_uvs is not None
+        and own.face_uvs is not None
         and np.array_equal(mesh.face_uvs, own.face_uvs)
     )
 

@@ -10,66 +10,46 @@ from lightstage.formats.mesh import Mesh, vertex_normals
 
 
 @dataclasses.dataclass(frozen=True)
-class Material:
-    """A surface without maps of its own, but a picture of its colour.
-
-    Attributes:
-        name: of the material.
-        colour: linear albedo.
-        roughness: perceptual, 0..1.
-        picture: PNG of the colour, sRGB, in place of `colour`; None of most.
-        clear: whether light passes and the gloss alone is seen, as of the cornea and of tears.
-    """
-
-    name: str
-    colour: tuple[float, float, float]
-    roughness: float
-    picture: bytes | None = None
-    clear: bool = False
-
-
-@dataclasses.dataclass(frozen=True)
 class Part:
-    """A part in the axes of the head's mesh.
+    """A part in the axes of the head's mesh; both sides of its triangles are shown.
 
     Attributes:
         name: of the object.
-        mesh: triangles, mm; with a texture coordinate for each vertex where there is a picture.
-        material: of its whole surface.
+        places: (k, 3) of its vertices, mm.
+        triangles: (t, 3).
+        colours: (k, 3) linear albedo; in the mouth times the light that comes in between the lips.
+        roughness: perceptual, 0..1.
         morphs: by name (k, 3) offsets of its vertices, mm; it stays where a name is missing.
     """
 
     name: str
-    mesh: Mesh
-    material: Material
+    places: np.ndarray
+    triangles: np.ndarray
+    colours: np.ndarray
+    roughness: float
     morphs: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
     def normals(self, offsets: np.ndarray | float = 0.0) -> np.ndarray:
         """(k, 3) unit normals, with offsets of its vertices."""
-        found = vertex_normals(self.mesh.vertices + offsets, self.mesh.triangles())
-        lost = np.linalg.norm(found, axis=1) < 0.5
-        found[lost] = (0, 0, 1)
+        found = vertex_normals(self.places + offsets, self.triangles)
+        found[np.linalg.norm(found, axis=1) < 0.5] = (0, 0, 1)
         return found
 
-    def posed(self, name: str | None) -> Part:
-        """The part with one of its morphs in its mesh."""
-        if name not in self.morphs:
-            return self
-        mesh = self.mesh.with_vertices(self.mesh.vertices + self.morphs[name])
-        return dataclasses.replace(self, mesh=mesh)
-
-    def turned(self, turn: np.ndarray) -> Part:
-        """The part in other axes: rows times a (3, 3) matrix."""
-        return dataclasses.replace(
-            self,
-            mesh=self.mesh.with_vertices(self.mesh.vertices @ turn),
-            morphs={name: offsets @ turn for name, offsets in self.morphs.items()},
-        )
+    def mesh(self) -> Mesh:
+        """Its mesh, without texture coordinates."""
+        return Mesh(self.places, self.triangles)
 
 
-def rotated(places: np.ndarray, centre: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """(k, 3) places turned about a point by a rotation."""
-    return np.asarray((places - centre) @ matrix.T + centre)
+def joined(name: str, parts: list[Part]) -> Part:
+    """One part of several with a material, which have no morphs yet."""
+    starts = np.cumsum([0, *(len(each.places) for each in parts[:-1])])
+    return Part(
+        name,
+        np.concatenate([each.places for each in parts]),
+        np.concatenate([each.triangles + k for each, k in zip(parts, starts, strict=True)]),
+        np.concatenate([each.colours for each in parts]),
+        parts[0].roughness,
+    )
 
 
 def sheet(rows: int, columns: int, closed: bool) -> np.ndarray:
@@ -80,9 +60,3 @@ def sheet(rows: int, columns: int, closed: bool) -> np.ndarray:
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
     halves = [np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)]
     return np.stack(halves, axis=2).reshape(-1, 3).astype(np.int32)
-
-
-def capped(triangles: np.ndarray, ring: np.ndarray, tip: int) -> np.ndarray:
-    """Triangles with a fan that closes a ring of vertices at a tip."""
-    fan = np.stack([ring, np.full(len(ring), tip), np.roll(ring, -1)], axis=1)
-    return np.concatenate([triangles, fan]).astype(np.int32)
