@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -15,7 +17,9 @@ BULGE_MM = 0.9
 CLEAR_MM, BACK_MM = 0.5, 4.0
 """Between ball and lids; as far as the ball may move back for it."""
 BROWN = np.array([0.09, 0.045, 0.02])
-SCLERA = np.array([0.62, 0.56, 0.52])
+SCLERA, LID = np.array([0.52, 0.46, 0.43]), np.array([0.30, 0.165, 0.145])
+ABOVE_MM = 0.6
+"""Of the pupil over the middle of the lids' opening."""
 LOOKS = {"Up": (-25.0, 0), "Down": (30.0, 0), "In": (0, -32.0), "Out": (0, 32.0)}
 """Degrees about x and about y of the left eye at a weight of 1; about y the right one mirrors."""
 FOLLOW = {"Up": -0.12, "Down": 0.45}
@@ -39,20 +43,23 @@ def lids_of_looks(morphs: dict[str, np.ndarray], count: int) -> dict[str, np.nda
 
 
 def eyes(
-    places: np.ndarray, morphs: dict[str, np.ndarray], iris: tuple[np.ndarray, np.ndarray]
+    places: np.ndarray, morphs: dict[str, np.ndarray], iris: np.ndarray
 ) -> list[Part]:
     """Both eyeballs and the rims of their lids.
 
     Args:
         places: (n, 3) of the skin's vertices in the template's axes, mm.
         morphs: by name (n, 3) of the skin.
-        iris: (3,) linear albedo of the right and the left one.
+        iris: (3,) linear albedo.
     """
     found = []
     for eye, (side, sign) in enumerate((("Right", -1), ("Left", 1))):
         ring = _ring(eye)
         centre = _centre(eye, places, [morphs.get(f"eyeBlink{side}"), morphs.get("photo")])
-        ball = _ball(f"eye{side}", centre, iris[eye])
+        ball = _ball(f"eye{side}", centre, iris)
+        ball = dataclasses.replace(
+            ball, places=_gaze(eye, places, centre).apply(ball.places - centre) + centre
+        )
         for look, (up, out) in LOOKS.items():
             turn = Rotation.from_euler("xy", [up, sign * out], degrees=True)
             ball.morphs[f"eyeLook{look}{side}"] = (
@@ -60,7 +67,7 @@ def eyes(
             )
         rim = _rim(places[ring], centre)
         shown = Part(
-            f"lids{side}", rim, sheet(3, len(ring), True), _rim_colours(len(ring)), 0.35
+            f"lids{side}", rim, sheet(3, len(ring), True), _rim_colours(eye), 0.35
         )
         for name, offsets in morphs.items():
             moved = _rim(places[ring] + offsets[ring], centre) - rim
@@ -98,6 +105,15 @@ def _centre(eye: int, places: np.ndarray, moved: list[np.ndarray | None]) -> np.
     return np.asarray(centre)
 
 
+def _gaze(eye: int, places: np.ndarray, centre: np.ndarray) -> Rotation:
+    """From straight ahead to the middle of the opening's height, which lies a little lower."""
+    top, bottom, first, last = template_lines().eyes[eye]
+    middle = template_lines().grid[:, (first + last) // 2]
+    height = places[middle[[top, bottom]], 1].mean() + ABOVE_MM - centre[1]
+    down = np.arcsin(np.clip(-height / RADIUS_MM, -0.2, 0.2))
+    return Rotation.from_euler("x", float(down))
+
+
 def _ball(name: str, centre: np.ndarray, iris: np.ndarray) -> Part:
     """An eyeball: white, iris and pupil, under a bulging cornea; the tears make it shine."""
     # Rings are dense where colours change.
@@ -131,6 +147,14 @@ def _rim(ring: np.ndarray, centre: np.ndarray) -> np.ndarray:
     return np.concatenate([ring, 0.4 * ring + 0.6 * inner, inner])
 
 
-def _rim_colours(count: int) -> np.ndarray:
-    shades = [np.full((count, 3), tone) for tone in (0.30, 0.22, 0.10)]
-    return np.concatenate(shades) * (1.0, 0.55, 0.48)
+def _rim_colours(eye: int) -> np.ndarray:
+    """Skin above and below; beside the opening the white goes on to the eye's corners."""
+    top, bottom, first, last = template_lines().eyes[eye]
+    wide, high = last - first, bottom - top
+    beside = np.zeros(2 * (wide + high), bool)
+    beside[wide : wide + high + 1] = True
+    beside[-high:] = beside[0] = True
+    rows = []
+    for tone in (1.0, 0.8, 0.45):
+        rows.append(np.where(beside[:, None], SCLERA, tone * LID))
+    return np.concatenate(rows)

@@ -9,7 +9,7 @@ import numpy as np
 from learning.export.morphs import axes_of
 from learning.export.parts.eyes import BROWN, IRIS_MM, PUPIL_MM, eyes, lids_of_looks
 from learning.export.parts.mouth import mouth
-from learning.export.parts.opened import is_ours, opened, template_lines
+from learning.export.parts.opened import CENTRE_MM, is_ours, opened, template_lines
 from learning.export.parts.part import Part
 from learning.export.source import Source
 from lightstage.formats.mesh import vertex_normals
@@ -57,7 +57,7 @@ def furnished(source: Source, morphs: dict[str, np.ndarray]) -> Furnished:
     turn = axes_of(source.mesh, template_lines().mesh)
     places = mesh.vertices @ turn.T
     local = {name: offsets @ turn.T for name, offsets in (moved | looks).items()}
-    parts = [*eyes(places, local, _irises(source)), *mouth(skin, places, local)]
+    parts = [*eyes(places, local, _iris(source)), *mouth(skin, places, local)]
     back = tuple(
         dataclasses.replace(
             part,
@@ -69,15 +69,13 @@ def furnished(source: Source, morphs: dict[str, np.ndarray]) -> Furnished:
     return Furnished(cut, moved | looks, back)
 
 
-def _irises(source: Source) -> tuple[np.ndarray, np.ndarray]:
-    """(3,) linear albedo of the right and the left iris as painted; brown where it is too light."""
+def _iris(source: Source) -> np.ndarray:
+    """(3,) linear albedo of the irises as painted; brown where it is too light for one."""
     lines, texels = template_lines(), source.raster.texels()
     own = source.raster.at(lines.mesh.vertices, source.mesh.triangles(), texels)
     albedo = source.maps["diffuse_albedo"].reshape(-1, 3)[texels].astype(float)
-    found = []
-    for sign in (-1, 1):
-        away = np.linalg.norm(own[:, :2] - (31.5 * sign, -8.0), axis=1)
-        ring = (away > PUPIL_MM) & (away < 0.8 * IRIS_MM) & (own[:, 2] > 70)
-        colour = np.median(albedo[ring], axis=0) if ring.any() else BROWN
-        found.append(colour if colour.mean() < BRIGHTEST else BROWN)
-    return found[0], found[1]
+    centre = CENTRE_MM[:2] + (0, -1.0)
+    away = np.hypot(np.abs(own[:, 0]) - centre[0], own[:, 1] - centre[1])
+    ring = (away > PUPIL_MM) & (away < 0.8 * IRIS_MM) & (own[:, 2] > CENTRE_MM[2])
+    colour = np.median(albedo[ring], axis=0) if ring.any() else BROWN
+    return colour if colour.mean() < BRIGHTEST else BROWN

@@ -17,10 +17,10 @@ LOWER = ((5.2, 8.0), (5.8, 8.2), (6.7, 9.0), (6.9, 7.8), (7.0, 7.5), (10.6, 7.0)
 """Width and height of the crowns from the middle, mm."""
 HALF_MM, DEPTH_MM = (29.0, 26.5), (44.0, 42.0)
 """Of the upper and the lower arch: half an ellipse."""
-BEHIND_MM, EDGE_MM = (5.5, 7.8), (-1.2, 0.3)
+BEHIND_MM, EDGE_MM = (5.5, 7.8), (-2.4, -0.4)
 """Of the front teeth, upper and lower: behind the lips' line; their edge over it."""
-ENAMEL, GUM = np.array([0.60, 0.54, 0.43]), np.array([0.42, 0.14, 0.13])
-TONGUE, BAG = np.array([0.38, 0.12, 0.11]), np.array([0.26, 0.06, 0.055])
+ENAMEL, GUM = np.array([0.80, 0.72, 0.59]), np.array([0.42, 0.14, 0.13])
+TONGUE, BAG = np.array([0.50, 0.17, 0.16]), np.array([0.17, 0.035, 0.03])
 CHIN = (6, 7, 8, 9, 10)
 UNDER_MM = 1.5
 """Least depth under the skin."""
@@ -163,7 +163,7 @@ def _tongue() -> Part:
     around = 2 * np.pi * np.arange(32) / 32
     size = np.sqrt(1 - (1 - np.minimum(back / 0.55, 1)) ** 2)
     x = 18.5 * size * np.cos(around)
-    y = 5.5 * size * np.sin(around) - 7.5 + 4 * np.sin(np.pi * back * 0.8)
+    y = 5.5 * size * np.sin(around) - 10 + 4 * np.sin(np.pi * back * 0.8)
     y = y - 1.6 * np.exp(-((x / 3) ** 2)) * (np.sin(around) > 0)
     z = np.broadcast_to(-15 - 36 * back, x.shape)
     places = np.stack([x, y, z], axis=-1).reshape(-1, 3)
