@@ -137,7 +137,9 @@ def export_command(
             plain = Furnished(finer, moved)
             _write_programs(level, programs, finer, Pictures(finer), plain, opens_with, step)
         rough = "roughness" in source.maps
-        text = readme(chosen, source.size, written, notes, list(head.morphs), rough, counts, opens_with)
+        text = readme(
+            chosen, source.size, written, notes, list(head.morphs), rough, counts, opens_with
+        )
         write_text(folder / README, text)
         size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     rows, columns = source.size
@@ -164,9 +166,7 @@ def _write_programs(
 ) -> None:
     """Write a head, or a level of it, for other programs: some of `PROGRAMS`; a step after each."""
     if "gltf" in programs:
-        write_glb(
-            folder / "head.glb", head.source, pictures, head.morphs, opens_with, head.parts
-        )
+        write_glb(folder / "head.glb", head.source, pictures, head.morphs, opens_with, head.parts)
         step()
     if opens_with in head.morphs:
         # Formats without morph targets have the expression in the mesh, which is not opened.

@@ -165,9 +165,7 @@ def write_glb(
     for part in parts:
         mesh["primitives"].append(_primitive(part, buffer, list(morphs or {}), len(materials)))
         rough = {"roughnessFactor": part.roughness, "metallicFactor": 0.0}
-        materials.append(
-            {"name": part.name, "pbrMetallicRoughness": rough, "doubleSided": True}
-        )
+        materials.append({"name": part.name, "pbrMetallicRoughness": rough, "doubleSided": True})
     document = {
         "asset": {"version": "2.0", "generator": "lightstage", "extras": SAID},
         "extensionsUsed": ["KHR_materials_ior", "KHR_materials_specular"],
@@ -243,7 +241,9 @@ def _primitive(part: Part, buffer: Buffer, names: list[str], material: int) -> d
     for name in names:
         offsets = part.morphs.get(name)
         if offsets is None:
-            still = buffer.vectors(np.zeros_like(part.places), bounds=True) if still is None else still
+            still = (
+                buffer.vectors(np.zeros_like(part.places), bounds=True) if still is None else still
+            )
             targets.append({"POSITION": still, "NORMAL": still})
             continue
         turned = part.normals(offsets) - normals

@@ -103,9 +103,7 @@ def _mesh(head: Furnished) -> dict[str, Any]:
         "uv": _floats(source.mesh.uvs[corners.uv] * [1, -1] + [0, 1]),
         "index": _base64(corners.triangles.astype("<u4").tobytes()),
         "morphs": {
-            name: _target(
-                offsets[corners.vertex], turned_normals(source, offsets)[corners.vertex]
-            )
+            name: _target(offsets[corners.vertex], turned_normals(source, offsets)[corners.vertex])
             for name, offsets in head.morphs.items()
         },
     }

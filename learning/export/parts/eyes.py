@@ -42,9 +42,7 @@ def lids_of_looks(morphs: dict[str, np.ndarray], count: int) -> dict[str, np.nda
     return found
 
 
-def eyes(
-    places: np.ndarray, morphs: dict[str, np.ndarray], iris: np.ndarray
-) -> list[Part]:
+def eyes(places: np.ndarray, morphs: dict[str, np.ndarray], iris: np.ndarray) -> list[Part]:
     """Both eyeballs and the rims of their lids.
 
     Args:
@@ -66,9 +64,7 @@ def eyes(
                 turn.apply(ball.places - centre) - ball.places + centre
             )
         rim = _rim(places[ring], centre)
-        shown = Part(
-            f"lids{side}", rim, sheet(3, len(ring), True), _rim_colours(eye), 0.35
-        )
+        shown = Part(f"lids{side}", rim, sheet(3, len(ring), True), _rim_colours(eye), 0.35)
         for name, offsets in morphs.items():
             moved = _rim(places[ring] + offsets[ring], centre) - rim
             if np.abs(moved).max() > 1e-3:
@@ -156,5 +152,5 @@ def _rim_colours(eye: int) -> np.ndarray:
     beside[-high:] = beside[0] = True
     rows = []
     for tone in (1.0, 0.8, 0.45):
-        rows.append(np.where(beside[:, None], SCLERA, tone * LID))
+        rows.append(np.where(beside[:, None], 0.7 * SCLERA, tone * LID))
     return np.concatenate(rows)

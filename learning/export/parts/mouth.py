@@ -120,8 +120,9 @@ def _arch(lower: int) -> tuple[Part, Part]:
         for side in (-1, 1):
             teeth.append(_tooth(lower, side * middle, width, height, number, up))
     along = np.linspace(-ends[-1], ends[-1], 181)
-    heights = np.interp(abs(along), ends, [(UPPER, LOWER)[lower][0][1], *(
-        h for _, h in (UPPER, LOWER)[lower])])
+    heights = np.interp(
+        abs(along), ends, [(UPPER, LOWER)[lower][0][1], *(h for _, h in (UPPER, LOWER)[lower])]
+    )
     cut = np.min([abs(abs(along) - end) for end in ends], axis=0)
     neck = heights - 0.8 - 2.2 * np.exp(-(cut**2) / 1.8)
     place, normal = _at(lower, along)
@@ -130,7 +131,9 @@ def _arch(lower: int) -> tuple[Part, Part]:
         x, z = (place + out * normal).T
         rows.append(np.stack([x, EDGE_MM[lower] + up * (neck + high), z], axis=1))
     at = np.concatenate(rows)
-    gum = Part(f"{name}Gum", at, sheet(len(rows), len(along), False), np.tile(GUM, (len(at), 1)), 0.3)
+    gum = Part(
+        f"{name}Gum", at, sheet(len(rows), len(along), False), np.tile(GUM, (len(at), 1)), 0.3
+    )
     return joined(f"{name}Teeth", teeth), gum
 
 
@@ -138,7 +141,9 @@ def _tooth(lower: int, along: float, width: float, height: float, number: int, u
     """A crown with rounded edges, from within the gum to its biting edge."""
     high = np.array([1.25, 1.0, 0.8, 0.55, 0.3, 0.14, 0.05, 0.012, 0.0])
     across = np.array([0.66, 0.74, 0.86, 0.96, 1.0, 0.98, 0.91, 0.72, 0.0])
-    thick = np.interp(high, [0, 0.05, 0.3, 1], [0.3, 0.55, 0.75, 1.0] if number < 3 else [0.6, 0.85, 1, 1])
+    thick = np.interp(
+        high, [0, 0.05, 0.3, 1], [0.3, 0.55, 0.75, 1.0] if number < 3 else [0.6, 0.85, 1, 1]
+    )
     thick[-1] = 0
     deep = (5.5, 5.0, 6.0, 7.5, 7.5, 9.0, 9.0)[number]
     if number < 3:
