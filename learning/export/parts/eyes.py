@@ -152,5 +152,5 @@ def _rim_colours(eye: int) -> np.ndarray:
     beside[-high:] = beside[0] = True
     rows = []
     for tone in (1.0, 0.8, 0.45):
-        rows.append(np.where(beside[:, None], 0.7 * SCLERA, tone * LID))
+        rows.append(np.where(beside[:, None], 0.45 * SCLERA, tone * LID))
     return np.concatenate(rows)

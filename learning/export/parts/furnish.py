@@ -74,8 +74,8 @@ def _iris(source: Source) -> np.ndarray:
     lines, texels = template_lines(), source.raster.texels()
     own = source.raster.at(lines.mesh.vertices, source.mesh.triangles(), texels)
     albedo = source.maps["diffuse_albedo"].reshape(-1, 3)[texels].astype(float)
-    centre = CENTRE_MM[:2] + (0, -1.0)
-    away = np.hypot(np.abs(own[:, 0]) - centre[0], own[:, 1] - centre[1])
+    x, y = np.abs(own[:, 0]) - CENTRE_MM[0], own[:, 1] - CENTRE_MM[1]
+    away = np.hypot(x, y)
     ring = (away > PUPIL_MM) & (away < 0.8 * IRIS_MM) & (own[:, 2] > CENTRE_MM[2])
     colour = np.median(albedo[ring], axis=0) if ring.any() else BROWN
     return colour if colour.mean() < BRIGHTEST else BROWN

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial.transform import Rotation
@@ -17,7 +19,7 @@ LOWER = ((5.2, 8.0), (5.8, 8.2), (6.7, 9.0), (6.9, 7.8), (7.0, 7.5), (10.6, 7.0)
 """Width and height of the crowns from the middle, mm."""
 HALF_MM, DEPTH_MM = (29.0, 26.5), (44.0, 42.0)
 """Of the upper and the lower arch: half an ellipse."""
-BEHIND_MM, EDGE_MM = (5.5, 7.8), (-2.4, -0.4)
+BEHIND_MM, EDGE_MM = (5.5, 7.8), (-3.2, -1.2)
 """Of the front teeth, upper and lower: behind the lips' line; their edge over it."""
 ENAMEL, GUM = np.array([0.80, 0.72, 0.59]), np.array([0.42, 0.14, 0.13])
 TONGUE, BAG = np.array([0.50, 0.17, 0.16]), np.array([0.17, 0.035, 0.03])
@@ -175,27 +177,36 @@ def _tongue() -> Part:
     return Part("tongue", places, sheet(24, 32, True), np.tile(TONGUE, (len(places), 1)), 0.3)
 
 
-def _bag(skin, places, morphs, turns, pivot, under, lit, scale) -> Part:  # type: ignore[no-untyped-def]
+def _bag(
+    skin: Opened,
+    places: np.ndarray,
+    morphs: dict[str, np.ndarray],
+    turns: dict[str, Rotation],
+    pivot: np.ndarray,
+    under: Callable[[np.ndarray, float], np.ndarray],
+    lit: Callable[[np.ndarray], np.ndarray],
+    scale: float,
+) -> Part:
     """The wall from the lips' edges back to the throat."""
     ring = np.concatenate([skin.upper, skin.lower[-2:0:-1]])
     count = len(skin.upper)
-    share = np.concatenate([np.linspace(0, 1, count), np.linspace(1, 0, count)[1:-1]])
-    height = np.sin(np.pi * share) ** 0.5
+    along = np.concatenate([np.linspace(0, 1, count), np.linspace(1, 0, count)[1:-1]])
+    height = np.sin(np.pi * along) ** 0.5
     low = np.concatenate([np.zeros(count), np.ones(count - 2)]) * height
     sign = np.where(low > 0, -1, 1) * height
     lip = places[ring]
     middle = places[skin.upper][count // 2]
     # Out of the lips' line, back, and how far the jaw rather than the lips moves it.
-    table = ((0, 0, 0, 1), (7, 2.5, 0.3, 1.0), (15, 8, 0.8, 1.02), (18, 22, 1, 1.0), (15, 40, 1, 0.8),
-             (9, 54, 1, 0.5), (0, 58, 1, 0.02))  # fmt: skip
+    table = ((0, 0, 0, 1), (7, 2.5, 0.3, 1.0), (15, 8, 0.8, 1.02), (18, 22, 1, 1.0),
+             (15, 40, 1, 0.8), (9, 54, 1, 0.5), (0, 58, 1, 0.02))  # fmt: skip
     rows, weights = [], []
-    for out, back, jaw, wide in table:
+    for out, back, share, wide in table:
         at = lip.copy()
         at[:, 0] = middle[0] + wide * (lip[:, 0] - middle[0])
         at[:, 1] += scale * out * sign
         at[:, 2] -= scale * back
         rows.append(at if not out and not back else under(at, 1.2))
-        weights.append(np.full(len(ring), jaw))
+        weights.append(np.full(len(ring), share))
     at, jaw = np.concatenate(rows), np.concatenate(weights)[:, None]
     lows = np.tile(low, len(rows))[:, None]
     part = Part("mouth", at, sheet(len(rows), len(ring), True), BAG * lit(at), 0.45)
