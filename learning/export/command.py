@@ -16,6 +16,7 @@ from learning.export.maps import MAPS, write_maps
 from learning.export.morphs import PHOTO, morph_targets
 from learning.export.obj import PICTURES, write_obj_material, write_pictures
 from learning.export.page import write_page
+from learning.export.parts.furnish import Furnished, furnished
 from learning.export.pictures import Pictures
 from learning.export.recipe import readme
 from learning.export.source import Source, posed, read_source
@@ -105,9 +106,10 @@ def export_command(
         if source.photo_mm is not None:
             other = posed(other, -source.photo_mm)
         sides = {"inferred": (other, Pictures(other)), **sides}
-    morphs, notes = _morphs(source, template, mesh, "gltf" in chosen)
+    morphs, notes = _morphs(source, template, mesh, bool({"gltf", "page"} & set(chosen)))
     if source.photo_mm is not None:
         morphs[PHOTO] = source.photo_mm
+    head = furnished(source, morphs)
     notes = [*source.notes, *notes]
     pictures: Pictures = list(sides.values())[-1][1]
     written: list[tuple[str, str, str]] = []
@@ -119,12 +121,12 @@ def export_command(
 
     finer, counts = source, []
     with atomic_folder(out, README, own=OWN) as folder:
-        _write_programs(folder, programs, source, pictures, morphs, opens_with, step)
+        _write_programs(folder, programs, source, pictures, head, opens_with, step)
         if "maps" in chosen:
             written = list(write_maps(folder, source))
             step()
         if "page" in chosen:
-            write_page(folder / PAGE, sides, float(opens_with == PHOTO))
+            write_page(folder / PAGE, sides, head, opens_with)
             step()
         for number in range(1, levels + 1):
             finer = coarser(finer)
@@ -132,9 +134,12 @@ def export_command(
             moved = {name: on_level(source, finer, offset) for name, offset in morphs.items()}
             level = folder / f"lod{number}"
             level.mkdir()
-            _write_programs(level, programs, finer, Pictures(finer), moved, opens_with, step)
+            plain = Furnished(finer, moved)
+            _write_programs(level, programs, finer, Pictures(finer), plain, opens_with, step)
         rough = "roughness" in source.maps
-        text = readme(chosen, source.size, written, notes, list(morphs), rough, counts, opens_with)
+        text = readme(
+            chosen, source.size, written, notes, list(head.morphs), rough, counts, opens_with
+        )
         write_text(folder / README, text)
         size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     rows, columns = source.size
@@ -142,7 +147,7 @@ def export_command(
         "formats": chosen,
         "rows": rows,
         "columns": columns,
-        "morph_targets": list(morphs),
+        "morph_targets": list(head.morphs),
         "lod_triangles": counts,
         "notes": notes,
         "bytes": size,
@@ -155,17 +160,18 @@ def _write_programs(
     programs: list[str],
     source: Source,
     pictures: Pictures,
-    morphs: dict[str, np.ndarray],
+    head: Furnished,
     opens_with: str | None,
     step: Callable[[], None],
 ) -> None:
     """Write a head, or a level of it, for other programs: some of `PROGRAMS`; a step after each."""
     if "gltf" in programs:
-        write_glb(folder / "head.glb", source, pictures, morphs, opens_with)
+        write_glb(folder / "head.glb", head.source, pictures, head.morphs, opens_with, head.parts)
         step()
-    if opens_with in morphs:
-        # Formats without morph targets have the expression in the mesh.
-        source = posed(source, morphs[opens_with])
+    if opens_with in head.morphs:
+        # Formats without morph targets have the expression in the mesh, which is not opened.
+        count = len(source.mesh.vertices)
+        source = posed(source, head.morphs[opens_with][:count])
     if "obj" in programs or "usd" in programs:
         paths = write_pictures(folder, pictures)
     if "obj" in programs:
@@ -183,7 +189,7 @@ def _morphs(
     if template is None:
         return {}, []
     if not wanted:
-        return {}, ["expressions (--template) are written to glTF alone: no morph targets"]
+        return {}, ["expressions (--template) are written to glTF and page alone: no morph targets"]
     places = [source.folder.parent, *([] if mesh is None else [mesh.parent])]
     poses = [
         pose for pose in (ProcessedFolder(place).head_pose for place in places) if pose.exists()

@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from learning.export.encode import perceptual
+from learning.export.parts.part import Part
 from learning.export.pictures import CONSTANT_ROUGHNESS, NORMAL, Pictures
 from learning.export.source import Source
 from learning.render.dielectric import INDEX
@@ -141,6 +143,7 @@ def write_glb(
     pictures: Pictures,
     morphs: dict[str, np.ndarray] | None = None,
     opens_with: str | None = None,
+    parts: Sequence[Part] = (),
 ) -> Path:
     """Write a head as .glb, atomically.
 
@@ -150,6 +153,7 @@ def write_glb(
         pictures: of the head.
         morphs: by name (n, 3) offsets of the mesh's vertices, mm.
         opens_with: the morph that has weight 1; None for none.
+        parts: beside the skin: primitives with materials of their own and the same morphs.
 
     Returns:
         `path`.
@@ -157,7 +161,11 @@ def write_glb(
     buffer = Buffer()
     mesh = _mesh(source, buffer, morphs or {}, opens_with)
     images: list[dict[str, Any]] = []
-    material = _material(pictures, source, buffer, images)
+    materials = [_material(pictures, source, buffer, images)]
+    for part in parts:
+        mesh["primitives"].append(_primitive(part, buffer, list(morphs or {}), len(materials)))
+        rough = {"roughnessFactor": part.roughness, "metallicFactor": 0.0}
+        materials.append({"name": part.name, "pbrMetallicRoughness": rough, "doubleSided": True})
     document = {
         "asset": {"version": "2.0", "generator": "lightstage", "extras": SAID},
         "extensionsUsed": ["KHR_materials_ior", "KHR_materials_specular"],
@@ -165,7 +173,7 @@ def write_glb(
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": "head"}],
         "meshes": [mesh],
-        "materials": [material],
+        "materials": materials,
         "textures": [{"sampler": 0, "source": k} for k in range(len(images))],
         "images": images,
         # Linear, with mipmaps; the tile does not repeat.
@@ -214,6 +222,34 @@ def _mesh(
         weights = [float(name == opens_with) for name in morphs]
         found |= {"weights": weights, "extras": {"targetNames": list(morphs)}}
     return found
+
+
+def _primitive(part: Part, buffer: Buffer, names: list[str], material: int) -> dict[str, Any]:
+    """A part with the skin's morph targets, zeros where it stays."""
+    normals = part.normals()
+    found: dict[str, Any] = {
+        "attributes": {
+            "POSITION": buffer.vectors(METRES * part.places, bounds=True),
+            "NORMAL": buffer.vectors(normals),
+            "COLOR_0": buffer.vectors(part.colours),
+        },
+        "indices": buffer.indices(part.triangles),
+        "material": material,
+    }
+    targets = []
+    still = None
+    for name in names:
+        offsets = part.morphs.get(name)
+        if offsets is None:
+            still = (
+                buffer.vectors(np.zeros_like(part.places), bounds=True) if still is None else still
+            )
+            targets.append({"POSITION": still, "NORMAL": still})
+            continue
+        turned = part.normals(offsets) - normals
+        place = buffer.vectors(METRES * offsets, bounds=True)
+        targets.append({"POSITION": place, "NORMAL": buffer.vectors(turned)})
+    return {**found, "targets": targets} if targets else found
 
 
 def _material(

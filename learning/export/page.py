@@ -13,6 +13,8 @@ import numpy as np
 from learning.errors import MapsError
 from learning.export.encode import perceptual
 from learning.export.gltf import METRES, corners_of, turned_normals, unit_normals
+from learning.export.parts.furnish import Furnished
+from learning.export.parts.part import Part
 from learning.export.pictures import CONSTANT_ROUGHNESS, Pictures
 from learning.export.source import Source
 from learning.render.dielectric import INDEX
@@ -35,14 +37,18 @@ SAID = (
 
 
 def write_page(
-    path: Path, sides: dict[str, tuple[Source, Pictures]], photo_share: float = 0.0
+    path: Path,
+    sides: dict[str, tuple[Source, Pictures]],
+    head: Furnished,
+    opens_with: str | None = None,
 ) -> Path:
     """Write a head's page, atomically.
 
     Args:
         path: the file.
         sides: one or two by name, of one mesh; of two a slider shows the first left of it.
-        photo_share: of its photograph's expression, with which a fitted head's page opens.
+        head: the mesh, morph targets, and what is drawn beside the skin.
+        opens_with: the morph target that has weight 1 at first; None for none.
 
     Returns:
         `path`.
@@ -50,12 +56,12 @@ def write_page(
     Raises:
         MapsError: the page would be larger than `MOST_BYTES`.
     """
-    source = next(iter(sides.values()))[0]
     data = {
         "ior": INDEX,
         "said": SAID,
-        "mesh": _mesh(source),
-        "photo": photo_share,
+        "mesh": _mesh(head),
+        "parts": [_part(part) for part in head.parts],
+        "morphs": {name: float(name == opens_with) for name in head.morphs},
         "sides": [_side(name, *side) for name, side in sides.items()],
     }
     # No text of the data may end the script that holds it.
@@ -87,20 +93,49 @@ def _harmless(script: str) -> str:
     return script.replace("</script", "<\\/script")
 
 
-def _mesh(source: Source) -> dict[str, str]:
-    corners = corners_of(source)
+def _mesh(head: Furnished) -> dict[str, Any]:
+    source, corners = head.source, corners_of(head.source)
     assert source.mesh.uvs is not None  # read_source refuses a mesh without
-    fields: dict[str, np.ndarray] = {
-        "position": METRES * source.mesh.vertices[corners.vertex],
-        "normal": unit_normals(source)[corners.vertex],
-        "tangent": corners.tangent,
-        "uv": source.mesh.uvs[corners.uv] * [1, -1] + [0, 1],
+    return {
+        "position": _floats(METRES * source.mesh.vertices[corners.vertex]),
+        "normal": _floats(unit_normals(source)[corners.vertex]),
+        "tangent": _floats(corners.tangent),
+        "uv": _floats(source.mesh.uvs[corners.uv] * [1, -1] + [0, 1]),
+        "index": _base64(corners.triangles.astype("<u4").tobytes()),
+        "morphs": {
+            name: _target(offsets[corners.vertex], turned_normals(source, offsets)[corners.vertex])
+            for name, offsets in head.morphs.items()
+        },
     }
-    if source.photo_mm is not None:
-        fields["moved"] = METRES * source.photo_mm[corners.vertex]
-        fields["turned"] = turned_normals(source, source.photo_mm)[corners.vertex]
-    packed = {name: _base64(values.astype("<f4").tobytes()) for name, values in fields.items()}
-    return {**packed, "index": _base64(corners.triangles.astype("<u4").tobytes())}
+
+
+def _part(part: Part) -> dict[str, Any]:
+    normals = part.normals()
+    return {
+        "roughness": part.roughness,
+        "position": _floats(METRES * part.places),
+        "normal": _floats(normals),
+        "color": _floats(part.colours),
+        "index": _base64(part.triangles.astype("<u4").tobytes()),
+        "morphs": {
+            name: _target(offsets, part.normals(offsets) - normals)
+            for name, offsets in part.morphs.items()
+        },
+    }
+
+
+def _target(offsets: np.ndarray, turned: np.ndarray) -> dict[str, str]:
+    """A morph target: which vertices move (.001 mm and more), their places and normals."""
+    moved = np.flatnonzero(np.abs(offsets).max(axis=1) > 1e-3)
+    return {
+        "at": _base64(moved.astype("<u4").tobytes()),
+        "position": _floats(METRES * offsets[moved]),
+        "normal": _floats(turned[moved]),
+    }
+
+
+def _floats(values: np.ndarray) -> str:
+    return _base64(values.astype("<f4").tobytes())
 
 
 def _side(name: str, source: Source, pictures: Pictures) -> dict[str, Any]:
