@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.mesh import vertex_normals
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,10 +34,6 @@ class Part:
         found = vertex_normals(self.places + offsets, self.triangles)
         found[np.linalg.norm(found, axis=1) < 0.5] = (0, 0, 1)
         return found
-
-    def mesh(self) -> Mesh:
-        """Its mesh, without texture coordinates."""
-        return Mesh(self.places, self.triangles)
 
 
 def joined(name: str, parts: list[Part]) -> Part:

@@ -215,7 +215,7 @@ def test_without_a_pose_the_vertices_tell_a_meshs_axes() -> None:
         assert np.array_equal(axes_of(own.mesh.with_vertices(person), own.mesh), np.eye(3))
 
 
-def test_expressions_are_taken_for_gltf_alone_and_a_note_says_so(
+def test_expressions_are_taken_for_gltf_and_page_alone_and_a_note_says_so(
     person: Path, tmp_path: Path
 ) -> None:
     words = ("--format", "maps", "--template", ROOT / "lightstage" / "data" / "template", "--json")
@@ -223,7 +223,7 @@ def test_expressions_are_taken_for_gltf_alone_and_a_note_says_so(
         printed("export", person, "--out", tmp_path / "out", *words).splitlines()[-1]
     )
     assert facts["morph_targets"] == []
-    assert any("glTF alone" in note for note in facts["notes"])
+    assert any("glTF and page alone" in note for note in facts["notes"])
 
 
 def test_another_templates_expressions_are_refused(person: Path, tmp_path: Path) -> None:
