@@ -5,8 +5,9 @@ another seed, people of ICT's model, the scanned head) under lights of the simul
 each, and scores what `avatar` finds over skin of the face with the weights as shipped. ``--part
 camera`` has a camera between that meters, balances and curves, and people with hair, beards, spots
 and glasses: albedo and tone from the worst tone to the best, and twelve photographs of one person.
-``--part speed`` and ``--part export`` measure seconds and memory. Truth and new
-lights are the simulator's own rendering on the true shape: these are no figures of real people.
+``--part glasses`` has people with clear and dark ones beside themselves without. ``--part speed``
+and ``--part export`` measure seconds and memory. Truth and new lights are the simulator's own
+rendering on the true shape: these are no figures of real people.
 
 The scanned head is Infinite, 3D Head Scan by Lee Perry-Smith, CC BY 3.0, based on a work at
 www.triplegangers.com. Its true albedo is its texture, with some shading baked in.
@@ -18,7 +19,7 @@ import argparse
 
 import numpy as np
 
-from benchmarks.avatar_camera import measure_camera
+from benchmarks.avatar_camera import measure_camera, measure_glasses
 from benchmarks.avatar_photos import AVATAR, HARMONIC, MEAN, TEXTURE, Case, Score, score
 from benchmarks.avatar_speed import SIZES, measure_export, measure_speed
 from benchmarks.networks_people import KINDS, Who, chosen
@@ -31,7 +32,7 @@ ROWS, COUNT = 384, 3
 LIGHTS = ("front", "hard-oblique", "studio", "warm-cool", "hard-side", "random")
 """Of the people, in turn."""
 GUESSES = (AVATAR, TEXTURE, HARMONIC, MEAN)
-PARTS = ("people", "camera", "speed", "export")
+PARTS = ("people", "camera", "glasses", "speed", "export")
 
 
 def main() -> None:
@@ -54,6 +55,8 @@ def main() -> None:
         write_people(title, chosen(kinds, asked.count, asked.unseen), asked.rows)
     if "camera" in parts:
         measure_camera(title, asked.unseen)
+    if "glasses" in parts:
+        measure_glasses(title, asked.unseen)
     if "speed" in parts:
         measure_speed(title, SIZES)
     if "export" in parts:

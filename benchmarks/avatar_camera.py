@@ -20,6 +20,8 @@ SEED = 20
 PEOPLE = {"ict": 5, "simulated": 4}
 ONE_TONE = 5
 """The person of twelve photographs has at least this tone."""
+WEARERS = {"ict": 2, "simulated": 2}
+"""Lightest and darkest of each kind."""
 TWELVE = (*GROUPS, "random", "studio")
 """Lights of one person's photographs, each by a camera of its own."""
 SAMPLED = 4
@@ -114,6 +116,23 @@ def measure_camera(title: str, unseen: bool) -> None:
             ]
         ],
         f"PSNR between the albedos of each pair, sRGB. Lights {', '.join(TWELVE)}.",
+    )
+
+
+def measure_glasses(title: str, unseen: bool) -> None:
+    """People without glasses, with clear ones and with dark ones, by one camera and light each."""
+    body = []
+    for kind, count in WEARERS.items():
+        for who in light_to_dark(kind, count, unseen):
+            found = [found_of(known(who, SEED, 0, lenses=worn)) for worn in (None, "clear", "dark")]
+            tone = "" if found[0] is None else found[0].tone
+            cells = ("no face" if each is None else f"{db([each.fit.gain]):.1f}" for each in found)
+            body.append([f"{who.kind} {who.name}", tone, *cells])
+    record(
+        f"{title}: glasses",
+        ["person", "tone", "without, dB", "clear", "dark"],
+        body,
+        "Albedo after the best gain a channel, over skin of the face; textures of 384 rows.",
     )
 
 

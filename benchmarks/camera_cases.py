@@ -140,6 +140,7 @@ def known(
     rows: int = ROWS,
     marked: bool = False,
     light: str | None = None,
+    lenses: str | None = None,
 ) -> Known:
     """A photograph of a person, as it was kept, or made.
 
@@ -150,9 +151,10 @@ def known(
         rows: of the true maps.
         marked: see `cases`.
         light: of `networks_lights.GROUPS`; one of `CAMERA_LIGHTS` is drawn where None.
+        lenses: `clear` or `dark` ones before a bare person.
     """
     name = f"{who.kind}-{who.name}-{seed}-{number}{'-marked' * marked}"
-    name += "" if light is None else f"-{light}"
+    name += "".join(f"-{each}" for each in (light, lenses) if each is not None)
     kept = folder() / f"camera-{rendering()}" / f"{name}-{rows}.pickle"
     if kept.is_file():
         found: Known = pickle.loads(kept.read_bytes())
@@ -162,6 +164,8 @@ def known(
     common = CAMERA_LIGHTS[int(rng.integers(len(CAMERA_LIGHTS)))]
     lights = light_of(light or common, int(rng.integers(2**31)))
     head = marked_head(who, rows) if marked else head_of(who, rows)
+    if lenses is not None:
+        head = seen_with_glasses(head, lenses == "dark")
     codes, sitter = taken(head, float(rng.normal(0, YAW_DEG)), lights, shooting)
     to_head = head.head_from_world
     inside = lights.position_mm @ to_head[:, :3].T + to_head[:, 3]
@@ -183,7 +187,12 @@ def marked_head(who: Who, rows: int) -> Head:
     """A head with its looks, and glasses in what a camera sees of it: one at a time is held."""
     looks = looks_of(who)
     head = make(who, rows, lambda subject: painted(subject, looks, 0))
-    scene = Scene(worn(head.lit.scene.subject, looks))
+    return seen_with_glasses(head, dark=False) if looks.glasses else head
+
+
+def seen_with_glasses(head: Head, dark: bool) -> Head:
+    """The head as a camera sees it behind glasses; its true maps are those without."""
+    scene = Scene(worn(head.lit.scene.subject, dark))
     return dataclasses.replace(head, lit=LitPoints(scene, head.lit.points))
 
 

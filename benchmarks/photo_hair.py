@@ -57,7 +57,6 @@ class Looks:
         folds: depth of the lines beside the mouth and on the forehead, 0 to 1.
         lips: (3,) linear colour of make-up; None without.
         glasses: a frame before the eyes.
-        dark: its lenses are dark.
     """
 
     hair: str | None
@@ -70,7 +69,6 @@ class Looks:
     folds: float
     lips: tuple[float, float, float] | None
     glasses: bool
-    dark: bool = False
 
 
 def looks_of(who: Who) -> Looks:
@@ -314,13 +312,9 @@ def _scalp(rng: np.random.Generator, canvas: _Canvas, looks: Looks) -> Chart:
     return chart
 
 
-def worn(subject: Subject, looks: Looks) -> Subject:
-    """The subject as it is photographed: with glasses, which shadow the skin and hide some."""
-    if not looks.glasses:
-        return subject
+def worn(subject: Subject, dark: bool = False) -> Subject:
+    """The subject with glasses, which shadow the skin and hide some; with dark lenses or clear."""
     wearing = dressed(subject, glasses(subject), FRAME, 0.04)
-    return (
-        dressed(wearing, dark_lenses(subject), FRAME, 0.04, LENS_ROUGHNESS)
-        if looks.dark
-        else wearing
-    )
+    if not dark:
+        return wearing
+    return dressed(wearing, dark_lenses(subject), FRAME, 0.04, LENS_ROUGHNESS)

@@ -106,10 +106,11 @@ def export_command(
         if source.photo_mm is not None:
             other = posed(other, -source.photo_mm)
         sides = {"inferred": (other, Pictures(other)), **sides}
-    morphs, notes = _morphs(source, template, mesh, bool({"gltf", "page"} & set(chosen)))
+    with_morphs = bool({"gltf", "page"} & set(chosen))
+    morphs, notes = _morphs(source, template, mesh, with_morphs)
     if source.photo_mm is not None:
         morphs[PHOTO] = source.photo_mm
-    head = furnished(source, morphs)
+    head = furnished(source, morphs) if with_morphs else Furnished(source, morphs)
     notes = [*source.notes, *notes]
     pictures: Pictures = list(sides.values())[-1][1]
     written: list[tuple[str, str, str]] = []
@@ -121,7 +122,7 @@ def export_command(
 
     finer, counts = source, []
     with atomic_folder(out, README, own=OWN) as folder:
-        _write_programs(folder, programs, source, pictures, head, opens_with, step)
+        _write_programs(folder, programs, source, pictures, morphs, head, opens_with, step)
         if "maps" in chosen:
             written = list(write_maps(folder, source))
             step()
@@ -134,8 +135,8 @@ def export_command(
             moved = {name: on_level(source, finer, offset) for name, offset in morphs.items()}
             level = folder / f"lod{number}"
             level.mkdir()
-            plain = Furnished(finer, moved)
-            _write_programs(level, programs, finer, Pictures(finer), plain, opens_with, step)
+            plain, drawn = Furnished(finer, moved), Pictures(finer)
+            _write_programs(level, programs, finer, drawn, moved, plain, opens_with, step)
         rough = "roughness" in source.maps
         text = readme(
             chosen, source.size, written, notes, list(head.morphs), rough, counts, opens_with
@@ -160,18 +161,29 @@ def _write_programs(
     programs: list[str],
     source: Source,
     pictures: Pictures,
+    morphs: dict[str, np.ndarray],
     head: Furnished,
     opens_with: str | None,
     step: Callable[[], None],
 ) -> None:
-    """Write a head, or a level of it, for other programs: some of `PROGRAMS`; a step after each."""
+    """Write a head, or a level of it, for other programs: some of `PROGRAMS`; a step after each.
+
+    Args:
+        folder: of the files.
+        programs: their formats.
+        source: the closed skin.
+        pictures: of it.
+        morphs: of it.
+        head: the skin as it may be opened, for formats with morph targets.
+        opens_with: the morph that is shown; None for none.
+        step: called after each format.
+    """
     if "gltf" in programs:
-        write_glb(folder / "head.glb", head.source, pictures, head.morphs, opens_with, head.parts)
+        write_glb(folder / "head.glb", head, pictures, opens_with)
         step()
-    if opens_with in head.morphs:
-        # Formats without morph targets have the expression in the mesh, which is not opened.
-        count = len(source.mesh.vertices)
-        source = posed(source, head.morphs[opens_with][:count])
+    if opens_with in morphs:
+        # Formats without morph targets have the expression in the mesh.
+        source = posed(source, morphs[opens_with])
     if "obj" in programs or "usd" in programs:
         paths = write_pictures(folder, pictures)
     if "obj" in programs:

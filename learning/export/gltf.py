@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import struct
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from learning.export.encode import perceptual
-from learning.export.parts.part import Part
+from learning.export.parts.furnish import Furnished
+from learning.export.parts.part import Part, directed
 from learning.export.pictures import CONSTANT_ROUGHNESS, NORMAL, Pictures
 from learning.export.source import Source
 from learning.render.dielectric import INDEX
@@ -68,8 +68,7 @@ def corners_of(source: Source) -> Corners:
 
 def unit_normals(source: Source) -> np.ndarray:
     """(n, 3) normals of the mesh's vertices; +z where all triangles of one are degenerate."""
-    length = np.linalg.norm(source.normals, axis=1)
-    return np.where(length[:, None] > 0.5, source.normals, [0.0, 0.0, 1.0])
+    return directed(source.normals)
 
 
 def turned_normals(source: Source, offsets: np.ndarray) -> np.ndarray:
@@ -139,31 +138,27 @@ class Buffer:
 
 def write_glb(
     path: Path,
-    source: Source,
+    head: Furnished,
     pictures: Pictures,
-    morphs: dict[str, np.ndarray] | None = None,
     opens_with: str | None = None,
-    parts: Sequence[Part] = (),
 ) -> Path:
     """Write a head as .glb, atomically.
 
     Args:
         path: the file.
-        source: mesh and maps.
-        pictures: of the head.
-        morphs: by name (n, 3) offsets of the mesh's vertices, mm.
+        head: skin, morphs, and parts, which are primitives with materials of their own.
+        pictures: of the skin.
         opens_with: the morph that has weight 1; None for none.
-        parts: beside the skin: primitives with materials of their own and the same morphs.
 
     Returns:
         `path`.
     """
     buffer = Buffer()
-    mesh = _mesh(source, buffer, morphs or {}, opens_with)
+    mesh = _mesh(head, buffer, opens_with)
     images: list[dict[str, Any]] = []
-    materials = [_material(pictures, source, buffer, images)]
-    for part in parts:
-        mesh["primitives"].append(_primitive(part, buffer, list(morphs or {}), len(materials)))
+    materials = [_material(pictures, head.source, buffer, images)]
+    for part in head.parts:
+        mesh["primitives"].append(_primitive(part, buffer, list(head.morphs), len(materials)))
         rough = {"roughnessFactor": part.roughness, "metallicFactor": 0.0}
         materials.append({"name": part.name, "pbrMetallicRoughness": rough, "doubleSided": True})
     document = {
@@ -193,9 +188,8 @@ def write_glb(
     return path
 
 
-def _mesh(
-    source: Source, buffer: Buffer, morphs: dict[str, np.ndarray], opens_with: str | None
-) -> dict[str, Any]:
+def _mesh(head: Furnished, buffer: Buffer, opens_with: str | None) -> dict[str, Any]:
+    source, morphs = head.source, head.morphs
     corners = corners_of(source)
     assert source.mesh.uvs is not None  # read_source refuses a mesh without
     # glTF's v runs down.
@@ -226,30 +220,27 @@ def _mesh(
 
 def _primitive(part: Part, buffer: Buffer, names: list[str], material: int) -> dict[str, Any]:
     """A part with the skin's morph targets, zeros where it stays."""
-    normals = part.normals()
     found: dict[str, Any] = {
         "attributes": {
             "POSITION": buffer.vectors(METRES * part.places, bounds=True),
-            "NORMAL": buffer.vectors(normals),
+            "NORMAL": buffer.vectors(part.normals()),
             "COLOR_0": buffer.vectors(part.colours),
         },
         "indices": buffer.indices(part.triangles),
         "material": material,
     }
-    targets = []
-    still = None
-    for name in names:
-        offsets = part.morphs.get(name)
-        if offsets is None:
-            still = (
-                buffer.vectors(np.zeros_like(part.places), bounds=True) if still is None else still
-            )
-            targets.append({"POSITION": still, "NORMAL": still})
-            continue
-        turned = part.normals(offsets) - normals
-        place = buffer.vectors(METRES * offsets, bounds=True)
-        targets.append({"POSITION": place, "NORMAL": buffer.vectors(turned)})
-    return {**found, "targets": targets} if targets else found
+    targets = {
+        name: {
+            "POSITION": buffer.vectors(METRES * offsets, bounds=True),
+            "NORMAL": buffer.vectors(part.turned(offsets)),
+        }
+        for name, offsets in part.morphs.items()
+    }
+    if set(names) - set(targets):
+        zero = buffer.vectors(np.zeros_like(part.places), bounds=True)
+        still = {"POSITION": zero, "NORMAL": zero}
+        targets = {name: targets.get(name, still) for name in names}
+    return {**found, "targets": [targets[name] for name in names]} if names else found
 
 
 def _material(

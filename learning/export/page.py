@@ -110,16 +110,14 @@ def _mesh(head: Furnished) -> dict[str, Any]:
 
 
 def _part(part: Part) -> dict[str, Any]:
-    normals = part.normals()
     return {
         "roughness": part.roughness,
         "position": _floats(METRES * part.places),
-        "normal": _floats(normals),
+        "normal": _floats(part.normals()),
         "color": _floats(part.colours),
         "index": _base64(part.triangles.astype("<u4").tobytes()),
         "morphs": {
-            name: _target(offsets, part.normals(offsets) - normals)
-            for name, offsets in part.morphs.items()
+            name: _target(offsets, part.turned(offsets)) for name, offsets in part.morphs.items()
         },
     }
 

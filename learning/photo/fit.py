@@ -10,7 +10,6 @@ under the same light.
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 import torch
@@ -21,37 +20,17 @@ from learning.maps import SHININESS, TRANSLUCENCY, TexturedHead, skin_maps_from
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
-from learning.photo.enlarge import Enlarged, enlarged, texels_a_pixel
-from learning.photo.eye_texels import eye_texels, with_eyes
-from learning.photo.foreground import foreground
-from learning.photo.fringe import Forehead
-from learning.photo.glasses import worn_before
 from learning.photo.large_texture import Enlarging, Shown, brighter, finest, rows_of_search
+from learning.photo.look import Looked, Texels, look
 from learning.photo.own_skin import PersonTexels, PhotographedSkin
 from learning.photo.several import Joined, View, join
 from learning.photo.shape_fit import Photograph, Places, Shape, fit_shape
-from learning.photo.skin_mask import (
-    above_mouth,
-    around_eyes,
-    beard_texels,
-    features,
-    hair_texels,
-    in_no_light,
-    no_skin,
-    open_mouth,
-    other_tint,
-    own_hair,
-)
 from learning.photo.tone import Tone, skin_colours
-from learning.photo.unwrap import Unwrapped, unwrap, without_slivers
 from learning.relight import lit_texture, shadows_of
 from learning.render.uv import UvRaster, rasterise
 from learning.upscale.network import Rcan
 from learning.whole.detail import enlarged as resized
 from learning.whole.gaps import continued
-from learning.whole.infer import infer_whole_face
-from learning.whole.light import SEARCH_SECONDS
-from learning.whole.refine import OF_TRUE_SHAPES, OwnSkin
 from learning.whole.texture_layout import FARTHEST_MM, apart_mm
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.environment import LightSet
@@ -59,18 +38,6 @@ from lightstage.formats.mesh import Mesh
 from lightstage.formats.template import Template
 from lightstage.rig import Camera
 
-COARSE_ROWS = 384
-"""Of the texture on which the mask of the skin is found."""
-LEAST_SEEN = 0.05
-"""Share of the face's texels that a photograph must show."""
-LARGEST_MISFIT = 3.0
-"""Of a light by which skin is distinguished from what else a photograph shows. Shadows fall a
-little beside where the fitted shape casts them: hard lights leave 1.8 to 2.4 and are found within 7
-to 17 degrees; a hat or glasses leave 3.4. The last light, without these, is taken in any case."""
-MOST_ASIDE_DEG = 15.0
-"""How far off straight in front a photograph fills the texels of eyes, at most. Seven photographs
-from in front gained 1.4 dB of albedo, four from 20 and 35 degrees to the side, where the shape's
-own texels show more white, lost 6."""
 DOUBT = 4.0
 """Landmarks are so much less certain where they gave a head that people do not have, as those of a
 face of 50 pixels do."""
@@ -141,20 +108,20 @@ def fit_head(
     shape = _likely_shape(photographs, template, places, network, config, notes)
     progress(1, steps)
     several = len(photographs) > 1
-    looked: list[_Looked] = []
+    looked: list[Looked] = []
     for index, photograph in enumerate(photographs):
         try:
-            found = _look(photograph, shape, index, template, network, config.rounds, several)
+            found = look(photograph, shape, index, template, network, config.rounds, several)
         except MapsError as error:
             if index == 0:
                 raise
             notes.append(f"{photograph.name} gives the shape alone, no texture: {error}")
         else:
             looked.append(found)
-            notes += [] if found.note is None else [found.note]
+            notes += found.notes
         progress(2 + index, steps)
     rows = rows_of_search(config.rows, config.search_rows)
-    texels = [_Texels(each, rows, template, shape.model.face, super_resolution) for each in looked]
+    texels = [Texels(each, rows, template, shape.model.face, super_resolution) for each in looked]
     together = _together(looked, texels)
     first, camera = texels[0], shape.cameras[0]
     seen = together.seen
@@ -262,7 +229,7 @@ def _from_people_mm(mesh: Mesh, network: WholeFaceNetwork) -> float:
     return apart_mm(place.permute(2, 0, 1)[None], network.mean_position_mm)
 
 
-def _with_all_rows(fitted: FittedHead, shown: list[Shown], first: _Texels, rows: int) -> FittedHead:
+def _with_all_rows(fitted: FittedHead, shown: list[Shown], first: Texels, rows: int) -> FittedHead:
     """A head of which light and skin were sought in fewer rows than its texture has."""
     raster = rasterise(first.mesh, rows, rows * 2 // 3)
     to_all = Enlarging(first.raster.covered, raster)
@@ -289,107 +256,7 @@ def _with_all_rows(fitted: FittedHead, shown: list[Shown], first: _Texels, rows:
     )
 
 
-@dataclasses.dataclass(frozen=True)
-class _Looked:
-    """A photograph at the coarse size: what of it is skin, and its light.
-
-    Attributes:
-        photograph: itself.
-        index: of the photograph.
-        mesh: the person as it shows them.
-        camera: of it.
-        person: (h, w) bool, its pixels that show the person.
-        other: (rows, columns) bool, texels that it shows and that are no skin.
-        hair: (rows, columns) bool, hair beyond where most people have it, and a cap.
-        masked: share of these in the face.
-        found: skin and light; None where they were not asked for.
-        note: what a user should know of it; None for nothing.
-    """
-
-    photograph: Photograph
-    index: int
-    mesh: Mesh
-    camera: Camera
-    person: np.ndarray
-    other: np.ndarray
-    hair: np.ndarray
-    masked: float
-    found: Inferred | None
-    note: str | None
-
-
-def _look(
-    photograph: Photograph,
-    shape: Shape,
-    index: int,
-    template: Template,
-    network: WholeFaceNetwork,
-    rounds: int,
-    light: bool,
-) -> _Looked:
-    """Find in a photograph what is skin, and its light where it is asked for.
-
-    Raises:
-        MapsError: it shows too little of the face, or in too much or too little light.
-    """
-    mesh, camera, vertices = shape.meshes[index], shape.cameras[index], shape.model.face
-    person = foreground(photograph.rgb_linear, mesh, vertices, camera)
-    if photograph.mouth_px is not None:
-        person &= ~open_mouth(photograph.mouth_px, person.shape)
-    note = None
-    worn = worn_before(photograph.rgb_linear, mesh.vertices[template.landmarks], camera)
-    if worn is not None:
-        hidden, dark = worn
-        person &= ~hidden
-        note = f"{photograph.name}: glasses were removed; the skin behind the frame is guessed"
-        if dark:
-            photograph = dataclasses.replace(photograph, eyes_px=None, whites=None)
-            note = f"{photograph.name}: sunglasses were removed; the eyes behind them are guessed"
-    nothing = np.zeros((COARSE_ROWS, COARSE_ROWS * 2 // 3), bool)
-    looked = _Looked(photograph, index, mesh, camera, person, nothing, nothing, 0.0, None, note)
-    coarse = _Texels(looked, COARSE_ROWS, template, vertices)
-    face = coarse.raster.interpolate(vertices[:, None].astype(float))[..., 0] > 0.5
-    shown = coarse.unwrapped.seen
-    share = float((shown & face).sum() / max(face.sum(), 1))
-    if share < LEAST_SEEN:
-        raise MapsError(
-            photograph.name,
-            found=f"{100 * share:.0f} % of the face",
-            expected=f"{100 * LEAST_SEEN:.0f} % or more",
-            hint="Take a photograph from farther in front.",
-        )
-    keep, hair = coarse.features | coarse.beard, nothing
-    texture = coarse.unwrapped.texture
-    skin, found = shown & ~other_tint(texture, shown, template, coarse.raster), None
-    settled = False
-    for index_of_round in range(rounds - 1):
-        found = coarse.inferred(network, texture, skin, SEARCH_SECONDS, camera, None)
-        other = no_skin(found.maps["diffuse_albedo"], network, skin, keep)
-        if found.light is None:
-            # A hat or glasses may keep every light from explaining the photograph.
-            normal = coarse.raster.normals(mesh)
-            other |= in_no_light(texture, found.maps["diffuse_albedo"], normal, skin, keep)
-        if index_of_round == 0:
-            # Later there is no hair left in it.
-            hair = Forehead(template, coarse.raster).fringe(
-                found.maps["diffuse_albedo"], shown, other
-            )
-        if coarse.hair is not None:
-            above = above_mouth(template, coarse.raster)
-            hair = hair | own_hair(shown & (other | ~skin), coarse.hair & shown, above)
-        before, skin = skin, skin & ~other
-        settled = bool((before != skin).mean() < 1e-3)
-        if settled:
-            break
-    if light and not settled:
-        found = coarse.inferred(network, texture, skin, SEARCH_SECONDS, camera, None)
-    masked = float(1 - (skin & face).sum() / max((shown & face).sum(), 1))
-    return dataclasses.replace(
-        looked, other=shown & ~skin & ~hair, hair=hair, masked=masked, found=found
-    )
-
-
-def _own_eyes(texels: list[_Texels], source: np.ndarray) -> np.ndarray | None:
+def _own_eyes(texels: list[Texels], source: np.ndarray) -> np.ndarray | None:
     """(rows, columns) bool, texels that show open eyes in the photograph they are from."""
     parts = [(each.eyes, index) for index, each in enumerate(texels) if each.eyes is not None]
     if not parts:
@@ -397,7 +264,7 @@ def _own_eyes(texels: list[_Texels], source: np.ndarray) -> np.ndarray | None:
     return np.logical_or.reduce([eyes & (source == index) for eyes, index in parts])
 
 
-def _together(looked: list[_Looked], texels: list[_Texels]) -> Joined:
+def _together(looked: list[Looked], texels: list[Texels]) -> Joined:
     """The texture of all photographs in the light of the first."""
     views = []
     for each, own in zip(looked, texels, strict=True):
@@ -419,7 +286,7 @@ def _together(looked: list[_Looked], texels: list[_Texels]) -> Joined:
     return join(views)
 
 
-def _coarse_model(first: _Looked, each: _Looked, light: LightSet) -> np.ndarray | None:
+def _coarse_model(first: Looked, each: Looked, light: LightSet) -> np.ndarray | None:
     """(rows, columns, 3) the first photograph's skin in the light of each, at the coarse size."""
     if first.found is None:
         return None
@@ -429,91 +296,6 @@ def _coarse_model(first: _Looked, each: _Looked, light: LightSet) -> np.ndarray 
     normal = raster.normals(each.mesh)
     maps |= {"diffuse_normal": normal, "specular_normal": normal}
     return _lit(raster, each.mesh, maps, light, each.camera)
-
-
-class _Texels:
-    """A photograph in the texels of its mesh."""
-
-    def __init__(
-        self,
-        looked: _Looked,
-        rows: int,
-        template: Template,
-        face: np.ndarray,
-        super_resolution: Rcan | None = None,
-    ) -> None:
-        self.name, self.mesh = looked.photograph.name, looked.mesh
-        camera, person = looked.camera, looked.person
-        self.raster: UvRaster = rasterise(self.mesh, rows, rows * 2 // 3)
-        shown = Enlarged(looked.photograph.rgb_linear, person, camera)
-        self.pixels = 1 / max(texels_a_pixel(self.mesh, self.raster, face, camera), 1e-6)
-        if super_resolution is not None:
-            larger = enlarged(
-                shown.rgb_linear, person, self.mesh, self.raster, face, camera, super_resolution
-            )
-            shown = shown if larger is None else larger
-        self.shown, self.enlarged = shown, shown.camera is not camera
-        self.shown_pixels = self.pixels * shown.camera.fx_px / camera.fx_px
-        self.unwrapped: Unwrapped = without_slivers(
-            unwrap(shown.rgb_linear, self.mesh, self.raster, shown.camera, shown.person),
-            features(template, self.raster),
-        )
-        self.features = features(template, self.raster)
-        self.beard = beard_texels(template, self.raster)
-        self.read = ~around_eyes(template, self.raster)
-        self.hair = hair_texels(template, self.raster)
-        self.own_hair = self._resized(looked.hair)
-        if self.hair is not None:
-            self.hair |= self.own_hair
-        self.skin = ~self._resized(looked.other)
-        self.eyes: np.ndarray | None = None
-        openings_px = looked.photograph.eyes_px
-        if openings_px is not None and aside_deg(camera) <= MOST_ASIDE_DEG:
-            eyes = eye_texels(template, self.raster)
-            if eyes is not None:
-                self.unwrapped, self.eyes = with_eyes(
-                    self.unwrapped, looked.photograph.rgb_linear, openings_px, eyes
-                )
-
-    def _resized(self, mask: np.ndarray) -> np.ndarray:
-        return resized(mask.astype(np.float32), *self.raster.covered.shape) > 0.5
-
-    def inferred(
-        self,
-        network: WholeFaceNetwork,
-        texture: np.ndarray,
-        shown: np.ndarray,
-        seconds: float,
-        camera: Camera,
-        mesostructure: TrainedMesostructure | None,
-        network_sees: np.ndarray | None = None,
-        own: OwnSkin = OF_TRUE_SHAPES,
-    ) -> Inferred:
-        """Skin and light of the texels that are shown; neither depends on the eyes' texels.
-
-        Args:
-            network: as of `infer_whole_face`.
-            texture: (rows, columns, 3) linear.
-            shown: (rows, columns) bool, texels that the texture has.
-            seconds: of the refinement.
-            camera: from where it was photographed.
-            mesostructure: as of `infer_whole_face`.
-            network_sees: (rows, columns) bool, as of `infer_whole_face`.
-            own: as of `infer_whole_face`.
-        """
-        return infer_whole_face(
-            network,
-            np.where(shown[..., None], texture, 0).astype(np.float32),
-            self.mesh,
-            np.eye(3, 4),
-            (self.name, "the fitted mesh"),
-            refine_seconds=seconds,
-            mesostructure=mesostructure,
-            camera_mm=camera.centre_mm,
-            largest_misfit=LARGEST_MISFIT if network_sees is None else math.inf,
-            network_sees=self.read if network_sees is None else self.read & network_sees,
-            own=own,
-        )
 
 
 def joined(
@@ -534,12 +316,6 @@ def joined(
     filled = np.exp(continued(own, seen)) * base - DARK
     texture = np.where(seen[..., None], photographed, np.maximum(filled, 0))
     return (texture * covered[..., None]).astype(np.float32)
-
-
-def aside_deg(camera: Camera) -> float:
-    """How far a camera stands from straight in front of a head in its own frame, 0 to 180."""
-    across, above, ahead = camera.centre_mm
-    return float(np.degrees(np.arctan2(np.hypot(across, above), ahead)))
 
 
 def _lit(

@@ -16,23 +16,23 @@ import cv2
 import numpy as np
 
 from learning.masks import widened
+from learning.photo.eyes import EYES
 from learning.photo.sampling import sampled
+from learning.photo.shape_fit import aside_deg
 from lightstage.formats.srgb import LUMINANCE
 from lightstage.rig import Camera
 
-EYES = (slice(36, 42), slice(42, 48))
-"""Outlines among iBUG's 68 landmarks [Sagonas2016]."""
 BEFORE_EYES_MM = 12.0
-"""Of the lenses' plane, in front of the eyes."""
+"""Distance of the lenses' plane in front of the eyes."""
 STEP_MM = 0.5
 ASIDE_MM, ABOVE_MM, BELOW_MM = 80.0, 45.0, 50.0
-"""What is looked at, about the middle between the eyes."""
+"""Extent of the plane about the middle between the eyes."""
 DARKEST = 4e-3
 LINE_MM = 0.7
 """Standard deviation of the blur before lines are sought."""
 BESIDE_MM = 1.5
 """Distance from a rim within which its edge may be."""
-WAYS = 8
+DIRECTIONS = 8
 """Directions of a line that are distinguished, of a half turn."""
 SIDE_MM, STRONG = 3.5, 0.25
 """Beside a line skin is seen, so much lighter (or darker) in the natural logarithm where the line
@@ -54,7 +54,7 @@ LEAST_SHOWN = 0.72
 """Strength of the lines along both lower rims, and along the bridge, at least. See
 docs/notes/photo.md."""
 MOST_ASIDE_DEG = 30.0
-"""Of the camera from straight in front: rims seen from farther aside are not alike."""
+"""Camera's angle from straight in front, at most: from farther aside the rims are not alike."""
 DARK_LENS = 0.9
 """Natural logarithm by which dark lenses are darker than the cheeks."""
 LEAST_DARK = 0.9
@@ -89,7 +89,7 @@ class Frame:
         power: of the superellipse.
         shift: of both lenses.
         bridge: height of the bridge.
-        shown: 0..1, strength of the lines along the parts that decide, the weakest of them.
+        shown: strength of the lines along the parts that decide, the weakest of them, 0..1.
     """
 
     middle: float
@@ -135,14 +135,17 @@ class LensPlane:
             camera: of the photograph.
         """
         middle = np.mean([marks_mm[eye].mean(axis=0) for eye in EYES], axis=0)
-        self._across = np.arange(-ASIDE_MM, ASIDE_MM + 1e-6, STEP_MM)
-        self._up = np.arange(ABOVE_MM, -BELOW_MM - 1e-6, -STEP_MM)
-        self.shape = len(self._up), len(self._across)
-        x, y = np.meshgrid(self._across, self._up)
+        self._x, self._y = np.meshgrid(
+            np.arange(-ASIDE_MM, ASIDE_MM + 1e-6, STEP_MM),
+            np.arange(ABOVE_MM, -BELOW_MM - 1e-6, -STEP_MM),
+        )
+        self.shape = self._x.shape
+        x, y = self._x, self._y
         place = np.stack([x, y, np.full_like(x, BEFORE_EYES_MM)], axis=-1) + middle
         self._pixel = camera.project(place.reshape(-1, 3))[0].reshape(*self.shape, 2)
         seen = sampled(rgb_linear, self._pixel.reshape(-1, 2))
-        self.log = np.log(np.maximum(seen, DARKEST)).reshape((*self.shape, 3))
+        light = np.log(np.maximum(seen, DARKEST)) @ LUMINANCE
+        self.light: np.ndarray = light.reshape(self.shape).astype(np.float32)
         self._size = rgb_linear.shape[1::-1]
 
     def at(self, points_mm: np.ndarray) -> np.ndarray:
@@ -156,14 +159,14 @@ class LensPlane:
             cv2.fillPoly(inside, [np.round(16 * outline).astype(np.int32)], 1, shift=4)
         return inside > 0
 
-    def frame(self) -> Frame:
-        """The likeliest frame, of dark or of bright lines."""
-        return max((_best(self, lines) for lines in _lines(self)), key=lambda frame: frame.shown)
+    def frame(self) -> Frame | None:
+        """The likeliest frame, of dark or of bright lines; None where none is certain."""
+        found = [frame for lines in _lines(self) if (frame := _best(self, lines)) is not None]
+        return max(found, key=lambda frame: frame.shown, default=None)
 
     def dark_lenses(self) -> np.ndarray | None:
         """(rows, columns) bool, lenses that nothing is seen through; None where there are none."""
-        x, y = np.meshgrid(self._across, self._up)
-        light = self.log @ LUMINANCE
+        x, y, light = self._x, self._y, self.light
         cheeks = (np.abs(np.abs(x) - CHEEK_MM[0]) < CHEEK_MM[1]) & (y < CHEEK_MM[2])
         dark = light < np.median(light[cheeks]) - DARK_LENS
         for side in (-1, 1):
@@ -177,24 +180,23 @@ class LensPlane:
 
     def hidden_by(self, frame: Frame, dark: bool) -> np.ndarray:
         """(rows, columns) bool, a frame, its shadow and, in clear lenses, what they mirror."""
-        turn = np.linspace(0, 2 * np.pi, 73)
-        outer, inner = (self.mask(frame.rims(turn, by)) for by in (OUTSIDE_MM, -INSIDE_MM))
-        lenses = self.mask(frame.rims(turn))
-        x, y = np.meshgrid(self._across - frame.shift, self._up)
+        outer, around, lenses, within, inner = (
+            self.mask(frame.rims(ROUND_ABOUT, by)) for by in (OUTSIDE_MM, 1, 0, -1, -INSIDE_MM)
+        )
+        x, y, light = self._x - frame.shift, self._y, self.light
         edge = frame.middle + frame.half[0]
         arms = (np.abs(x) > edge - INSIDE_MM) & (y > ARMS_MM[0]) & (y < ARMS_MM[1])
         bridge = (np.abs(x) < frame.middle - frame.half[0] + OUTSIDE_MM) & (
             np.abs(y - frame.bridge) < OUTSIDE_MM
         )
         eyes = np.hypot((np.abs(x) - EYE_MM[0]) / EYE_MM[1], y / EYE_MM[2]) < 1
-        light = (self.log @ LUMINANCE).astype(np.float32)
         size = 2 * round(THICKEST_MM / STEP_MM) + 1
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
         thin = cv2.morphologyEx(light, cv2.MORPH_BLACKHAT, kernel) > THIN
         thin |= cv2.morphologyEx(light, cv2.MORPH_TOPHAT, kernel) > THIN
         found = thin & ((outer & ~inner) | arms | bridge) & ~eyes
         # The rim itself in any case, where its colour is skin's.
-        found |= self.mask(frame.rims(turn, 1.0)) & ~self.mask(frame.rims(turn, -1.0)) & ~eyes
+        found |= around & ~within & ~eyes
         if not dark:
             below = outer & ~lenses & (y < frame.level)
             skin = np.median(light[below & ~thin]) if (below & ~thin).any() else np.inf
@@ -213,32 +215,44 @@ class LensPlane:
         return np.asarray(cv2.dilate(found, np.ones((3, 3))) > 0.3)
 
 
-def worn_before(
-    rgb_linear: np.ndarray, marks_mm: np.ndarray, camera: Camera
-) -> tuple[np.ndarray, bool] | None:
-    """Find the glasses that a photograph shows, and what they hide.
+@dataclasses.dataclass(frozen=True)
+class Worn:
+    """Glasses in a photograph.
+
+    Attributes:
+        hidden: (h, w) bool, pixels of the frame, its shadow and what the lenses mirror; and dark
+            lenses.
+        dark: nothing is seen through the lenses.
+    """
+
+    hidden: np.ndarray
+    dark: bool
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        return "sunglasses" if self.dark else "glasses"
+
+
+def worn_before(rgb_linear: np.ndarray, marks_mm: np.ndarray, camera: Camera) -> Worn | None:
+    """Find the glasses that a photograph shows; None where none are certain.
 
     Args:
         rgb_linear: (h, w, 3).
         marks_mm: (68, 3) landmarks of the fitted head, head frame.
         camera: of the photograph.
-
-    Returns:
-        (h, w) bool, pixels of the frame, its shadow and what the lenses mirror; and whether the
-        lenses are dark, which then are hidden too. None where no glasses are certain.
     """
-    across, above, ahead = camera.centre_mm
-    if np.degrees(np.arctan2(np.hypot(across, above), ahead)) > MOST_ASIDE_DEG:
+    if aside_deg(camera) > MOST_ASIDE_DEG:
         return None
     plane = LensPlane(rgb_linear, marks_mm, camera)
-    dark = plane.dark_lenses()
-    frame = plane.frame()
-    if dark is None and frame.shown < LEAST_SHOWN:
+    dark, frame = plane.dark_lenses(), plane.frame()
+    if dark is None and frame is None:
         return None
     hidden = np.zeros(plane.shape, bool) if dark is None else dark
-    if frame.shown >= LEAST_SHOWN:
+    if frame is not None:
         hidden = hidden | plane.hidden_by(frame, dark is not None)
-    return plane.in_photograph(widened(hidden, round(AROUND_MM / STEP_MM))), dark is not None
+    pixels = plane.in_photograph(widened(hidden, round(AROUND_MM / STEP_MM)))
+    return Worn(pixels, dark is not None)
 
 
 def _normals(line: np.ndarray) -> np.ndarray:
@@ -247,62 +261,65 @@ def _normals(line: np.ndarray) -> np.ndarray:
     return np.column_stack([-along[:, 1], along[:, 0]])
 
 
-def _shapes() -> Iterator[tuple[Frame, np.ndarray, np.ndarray]]:
+def _shapes(shifts: tuple[float, ...]) -> Iterator[tuple[Frame, np.ndarray, np.ndarray]]:
     """Frames with the arcs of both rims that decide, (2, n, 2), and their (n, 2) normals."""
     for wide, high, power in itertools.product(HALF_WIDTHS_MM, HALF_HEIGHTS_MM, ROUND):
         arc = _rim(power, wide, high, ARC)
         normals = _normals(arc)
-        for middle, level, shift in itertools.product(MIDDLES_MM, LEVELS_MM, SHIFTS_MM):
+        for middle, level, shift in itertools.product(MIDDLES_MM, LEVELS_MM, shifts):
             below = high - level
             if LOWEST_MM[0] < below < LOWEST_MM[1] and NOSE_MM[0] < middle - wide < NOSE_MM[1]:
                 frame = Frame(middle, level, (wide, high), power, shift, 0.0, 0.0)
                 yield frame, frame.rims(ARC), normals
 
 
-def _best(plane: LensPlane, lines: np.ndarray) -> Frame:
-    """The frame whose lower rims and bridge lie best on (WAYS, rows, columns) lines, 0..1."""
+def _best(plane: LensPlane, lines: np.ndarray) -> Frame | None:
+    """The frame that lies best on (DIRECTIONS, rows, columns) lines, 0..1.
+
+    Lower rims and bridge must show. Where no bridge does, no rims are sought.
+    """
 
     def shown(points: np.ndarray, normals: np.ndarray) -> float:
-        way = np.round(np.arctan2(normals[:, 1], normals[:, 0]) / np.pi * WAYS).astype(int) % WAYS
+        way = np.arctan2(normals[:, 1], normals[:, 0]) / np.pi * DIRECTIONS
         column, row = np.round(plane.at(points)).astype(int).T
         inside = (column >= 0) & (column < plane.shape[1]) & (row >= 0) & (row < plane.shape[0])
-        return float(lines[way[inside], row[inside], column[inside]].sum() / len(points))
+        way = np.round(way[inside]).astype(int) % DIRECTIONS
+        return float(lines[way, row[inside], column[inside]].sum() / len(points))
 
     line = np.linspace(-BRIDGE_MM, BRIDGE_MM, 15)
     upright = np.tile((0.0, 1.0), (len(line), 1))
     bridges = {
         shift: max(
-            (shown(np.column_stack([line + shift, np.full(15, level)]), upright), level)
+            (shown(np.column_stack([line + shift, np.full(15, level)]), upright), float(level))
             for level in BRIDGE_LEVELS_MM
         )
         for shift in SHIFTS_MM
     }
-    best = Frame(31.0, -3.0, (25.0, 19.0), 2.0, 0.0, 0.0, -1.0)
-    best_fit = -1.0
-    for frame, rims, normals in _shapes():
-        round_normals = _normals(_rim(frame.power, *frame.half, ROUND_ABOUT))
-        bridge, at = bridges[frame.shift]
+    certain = {shift: bridge for shift, bridge in bridges.items() if bridge[0] >= LEAST_SHOWN}
+    best, best_fit = None, -1.0
+    for frame, rims, normals in _shapes(tuple(certain)):
+        bridge, at = certain[frame.shift]
         least = min(bridge, *(shown(rim, normals) for rim in rims))
+        if least < LEAST_SHOWN:
+            continue
         # Of frames whose lower rims are alike, the one whose upper rims show too.
-        fits = least
-        if least > LEAST_SHOWN:
-            fits += sum(shown(rim, round_normals) for rim in frame.rims(ROUND_ABOUT)) / 2
+        whole = _normals(_rim(frame.power, *frame.half, ROUND_ABOUT))
+        fits = least + float(np.mean([shown(rim, whole) for rim in frame.rims(ROUND_ABOUT)]))
         if fits > best_fit:
             best_fit = fits
-            best = dataclasses.replace(frame, bridge=float(at), shown=least)
+            best = dataclasses.replace(frame, bridge=at, shown=least)
     return best
 
 
 def _lines(plane: LensPlane) -> tuple[np.ndarray, np.ndarray]:
-    """(WAYS, rows, columns) strength 0..1 of dark and of bright lines across a direction."""
-    light = (plane.log @ LUMINANCE).astype(np.float32)
-    soft = cv2.GaussianBlur(light, (0, 0), LINE_MM / STEP_MM)
+    """(DIRECTIONS, rows, columns) strength 0..1 of dark and of bright lines across a direction."""
+    soft = cv2.GaussianBlur(plane.light, (0, 0), LINE_MM / STEP_MM)
     reach = 2 * round(BESIDE_MM / STEP_MM) + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     dark: list[np.ndarray] = []
     bright: list[np.ndarray] = []
-    for way in range(WAYS):
-        angle = np.pi * way / WAYS
+    for way in range(DIRECTIONS):
+        angle = np.pi * way / DIRECTIONS
         step = SIDE_MM / STEP_MM * np.array([np.cos(angle), -np.sin(angle)])
         sides = [
             cv2.warpAffine(

@@ -191,3 +191,9 @@ def without_similarity(modes: np.ndarray, mean: np.ndarray, face: np.ndarray) ->
         return modes
     share = np.linalg.lstsq(flat.T, modes[:, face].reshape(len(modes), -1).T, rcond=None)[0]
     return modes - np.tensordot(share.T, basis, 1)
+
+
+def aside_deg(camera: Camera) -> float:
+    """Degrees that a camera stands from straight in front of a head in its own frame, 0 to 180."""
+    across, above, ahead = camera.centre_mm
+    return float(np.degrees(np.arctan2(np.hypot(across, above), ahead)))

@@ -133,14 +133,9 @@ def glasses(subject: Subject) -> Mesh:
     """
     to_head = _motion(subject)
     marks = _to_head(subject.landmarks_mm, to_head)
-    eyes = [marks[list(eye)].mean(axis=0) for eye in EYES]
-    front = max(eye[2] for eye in eyes) + FRAME_OFF_MM
-    turn = np.linspace(0, 2 * np.pi, POINTS + 1)
-    paths, ears = [], sorted((marks[ear] for ear in EARS), key=lambda ear: ear[0])
-    eyes.sort(key=lambda eye: eye[0])
+    eyes, front, rims = _rims(marks)
+    paths, ears = list(rims), sorted((marks[ear] for ear in EARS), key=lambda ear: ear[0])
     for eye, ear in zip(eyes, ears, strict=True):
-        rim = np.stack([LENS_MM[0] * np.cos(turn), LENS_MM[1] * np.sin(turn), 0 * turn], axis=1)
-        paths.append(rim + np.array([eye[0], eye[1] - 3, front]))
         outward = np.sign(ear[0])
         hinge = np.array([eye[0] + outward * LENS_MM[0], eye[1] + 4, front])
         # Past the widest place of the head, to above the ear.
@@ -156,28 +151,30 @@ def glasses(subject: Subject) -> Mesh:
 
 
 def dark_lenses(subject: Subject) -> Mesh:
-    """Discs in the rims of `glasses`, which nothing is seen through; mm, world.
+    """Opaque discs in the rims of `glasses`; mm, world.
 
     Raises:
         SimError: a subject without landmarks.
     """
     to_head = _motion(subject)
-    marks = _to_head(subject.landmarks_mm, to_head)
-    eyes = [marks[list(eye)].mean(axis=0) for eye in EYES]
-    front = max(eye[2] for eye in eyes) + FRAME_OFF_MM
-    turn = 2 * np.pi * np.arange(POINTS) / POINTS
+    _, _, rims = _rims(_to_head(subject.landmarks_mm, to_head))
+    rims = rims[:, :-1]
+    middles = rims.mean(axis=1, keepdims=True)
+    vertices = np.concatenate([rims, middles], axis=1).reshape(-1, 3)
     at = np.arange(POINTS)
-    vertices, faces = [], []
-    for number, eye in enumerate(eyes):
-        middle = np.array([eye[0], eye[1] - 3, front])
-        around = np.stack([LENS_MM[0] * np.cos(turn), LENS_MM[1] * np.sin(turn), 0 * turn], axis=1)
-        vertices += [middle + around, middle[None]]
-        first = number * (POINTS + 1)
-        hub = np.full(POINTS, first + POINTS)
-        faces.append(np.stack([hub, first + at, first + (at + 1) % POINTS], axis=1))
-    return _to_world(
-        Mesh(np.concatenate(vertices), np.concatenate(faces).astype(np.int32)), to_head
-    )
+    fan = np.stack([np.full(POINTS, POINTS), at, (at + 1) % POINTS], axis=1)
+    faces = np.concatenate([fan, fan + POINTS + 1]).astype(np.int32)
+    return _to_world(Mesh(vertices, faces), to_head)
+
+
+def _rims(marks: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+    """(2, 3) eyes by x, the lenses' plane before them, (2, POINTS + 1, 3) closed rims; head."""
+    eyes = np.array(sorted((marks[list(eye)].mean(axis=0) for eye in EYES), key=lambda eye: eye[0]))
+    front = float(eyes[:, 2].max()) + FRAME_OFF_MM
+    turn = np.linspace(0, 2 * np.pi, POINTS + 1)
+    rim = np.stack([LENS_MM[0] * np.cos(turn), LENS_MM[1] * np.sin(turn), 0 * turn], axis=1)
+    middles = np.column_stack([eyes[:, 0], eyes[:, 1] - 3, np.full(2, front)])
+    return eyes, front, rim + middles[:, None]
 
 
 def tubes(paths: Sequence[np.ndarray], radius_mm: float) -> Mesh:

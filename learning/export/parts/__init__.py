@@ -1,1 +1,1 @@
-"""What a head needs behind its skin: eyeballs, lashes, a mouth's inside; and the openings to it."""
+"""Eyeballs and a mouth's inside behind a fitted head's skin, and the openings to them."""

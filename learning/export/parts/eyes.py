@@ -7,24 +7,27 @@ import dataclasses
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from learning.export.morphs import PHOTO
 from learning.export.parts.opened import CENTRE_MM, RADIUS_MM, template_lines
 from learning.export.parts.part import Part, sheet
+from learning.vectors import unit
 
 IRIS_MM, PUPIL_MM = 5.9, 1.8
 """Radii, from the eye's axis."""
 BULGE_MM = 0.9
-"""Of the cornea over the ball."""
+"""Height of the cornea over the ball."""
 CLEAR_MM, BACK_MM = 0.5, 4.0
 """Between ball and lids; as far as the ball may move back for it."""
 BROWN = np.array([0.09, 0.045, 0.02])
 SCLERA, LID = np.array([0.52, 0.46, 0.43]), np.array([0.30, 0.165, 0.145])
 ABOVE_MM = 0.6
-"""Of the pupil over the middle of the lids' opening."""
+"""Height of the pupil over the middle of the lids' opening."""
 LOOKS = {"Up": (-25.0, 0), "Down": (30.0, 0), "In": (0, -32.0), "Out": (0, 32.0)}
 """Degrees about x and about y of the left eye at a weight of 1; about y the right one mirrors."""
 FOLLOW = {"Up": -0.12, "Down": 0.45}
 """Share of a blink by which the lids follow a look."""
-RINGS, COLUMNS = 72, 64
+FRONT, BACK, COLUMNS = 48, 24, 64
+"""Rings of an eyeball before and behind the border of the cornea, and vertices on each."""
 
 
 def look_names() -> list[str]:
@@ -33,7 +36,7 @@ def look_names() -> list[str]:
 
 
 def lids_of_looks(morphs: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-    """What the skin does with each look: (count, 3) offsets, mm."""
+    """(count, 3) offsets of the skin by look, mm."""
     found = {}
     for name in look_names():
         look, side = name.removeprefix("eyeLook"), "Left" if name.endswith("Left") else "Right"
@@ -53,7 +56,7 @@ def eyes(places: np.ndarray, morphs: dict[str, np.ndarray], iris: np.ndarray) ->
     found = []
     for eye, (side, sign) in enumerate((("Right", -1), ("Left", 1))):
         ring = _ring(eye)
-        centre = _centre(eye, places, [morphs.get(f"eyeBlink{side}"), morphs.get("photo")])
+        centre = _centre(eye, places, [morphs.get(f"eyeBlink{side}"), morphs.get(PHOTO)])
         ball = _ball(f"eye{side}", centre, iris)
         ball = dataclasses.replace(
             ball, places=_gaze(eye, places, centre).apply(ball.places - centre) + centre
@@ -90,7 +93,7 @@ def _ring(eye: int) -> np.ndarray:
 def _centre(eye: int, places: np.ndarray, moved: list[np.ndarray | None]) -> np.ndarray:
     """(3,) of a person's eyeball: moved with the surface round it, and behind the lids."""
     ring = _ring(eye)
-    centre = CENTRE_MM * ((1, -1)[eye == 0], 1, 1)
+    centre = CENTRE_MM * ((-1, 1)[eye], 1, 1)
     centre = centre + (places[ring] - template_lines().mesh.vertices[ring]).mean(axis=0)
     rims = [places[ring], *(places[ring] + each[ring] for each in moved if each is not None)]
     near = np.concatenate(rims)
@@ -112,34 +115,35 @@ def _gaze(eye: int, places: np.ndarray, centre: np.ndarray) -> Rotation:
 
 def _ball(name: str, centre: np.ndarray, iris: np.ndarray) -> Part:
     """An eyeball: white, iris and pupil, under a bulging cornea; the tears make it shine."""
-    # Rings are dense where colours change.
-    radius = np.concatenate([np.linspace(0.01, IRIS_MM + 1.2, 48), np.zeros(RINGS - 48)])
-    angle = np.arcsin(np.minimum(radius / RADIUS_MM, 1))
-    angle[48:] = np.linspace(angle[47], 2.6, RINGS - 47)[1:]
+    # Rings are dense where colours change; behind the cornea all is white, as far from the axis.
+    axial = np.linspace(0.01, IRIS_MM + 1.2, FRONT)
+    angle = np.arcsin(axial / RADIUS_MM)
+    angle = np.concatenate([angle, np.linspace(angle[-1], 2.6, BACK + 1)[1:]])[:, None]
+    axial = np.concatenate([axial, np.full(BACK, np.inf)])[:, None]
     around = 2 * np.pi * np.arange(COLUMNS) / COLUMNS
-    out = np.sin(angle)[:, None] * RADIUS_MM
-    bulge = BULGE_MM * np.maximum(0, 1 - (out / (IRIS_MM + 0.6)) ** 2) * (angle[:, None] < 1.5)
-    x, y = out * np.cos(around), out * np.sin(around)
-    z = np.broadcast_to(np.cos(angle)[:, None] * RADIUS_MM + bulge, x.shape)
-    places = np.stack([x, y, z], axis=-1).reshape(-1, 3) + centre
-    rng = np.random.default_rng(3)
-    streaks = 1 + 0.25 * rng.normal(size=COLUMNS)
-    inside = radius[:, None] / IRIS_MM
-    tone = np.interp(inside, [0.3, 0.45, 0.75, 0.9, 1.0], [0.8, 1.25, 1.0, 0.75, 0.4]) * streaks
-    white = np.broadcast_to(SCLERA, (RINGS, COLUMNS, 3))
-    share = np.where(angle < 1.5, np.clip((radius - IRIS_MM + 0.25) / 0.5, 0, 1), 1)[:, None, None]
-    share = np.where((np.arange(RINGS) >= 48)[:, None, None], 1.0, share)
-    colours = (1 - share) * np.clip(tone, 0.3, 1.6)[..., None] * iris + share * white
-    dark = np.clip((radius - PUPIL_MM) / 0.25, 0, 1)
-    dark[48:] = 1
-    colours = colours * (0.02 + 0.98 * dark)[:, None, None]
-    return Part(name, places, sheet(RINGS, COLUMNS, True), colours.reshape(-1, 3), 0.08)
+    bulge = BULGE_MM * np.maximum(0, 1 - (axial / (IRIS_MM + 0.6)) ** 2)
+    out = RADIUS_MM * np.sin(angle)
+    along = np.broadcast_to(RADIUS_MM * np.cos(angle) + bulge, (FRONT + BACK, COLUMNS))
+    places = np.stack([out * np.cos(around), out * np.sin(around), along], axis=-1)
+    # The iris has streaks, is lightest beside the pupil and darkest at its border.
+    streaks = 1 + 0.25 * np.random.default_rng(3).normal(size=COLUMNS)
+    tone = np.interp(axial / IRIS_MM, [0.3, 0.45, 0.75, 0.9, 1.0], [0.8, 1.25, 1.0, 0.75, 0.4])
+    white = np.clip((axial - IRIS_MM + 0.25) / 0.5, 0, 1)[..., None]
+    colours = (1 - white) * np.clip(tone * streaks, 0.3, 1.6)[..., None] * iris + white * SCLERA
+    dark = np.clip((axial - PUPIL_MM) / 0.25, 0, 1)[..., None]
+    return Part(
+        name,
+        places.reshape(-1, 3) + centre,
+        sheet(FRONT + BACK, COLUMNS, True),
+        (colours * (0.02 + 0.98 * dark)).reshape(-1, 3),
+        0.08,
+    )
 
 
 def _rim(ring: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """(3 k, 3) rows from a lid's edge to just within the ball."""
     ray = ring - centre
-    inner = centre + ray / np.linalg.norm(ray, axis=1, keepdims=True) * (RADIUS_MM - 0.15)
+    inner = centre + unit(ray) * (RADIUS_MM - 0.15)
     return np.concatenate([ring, 0.4 * ring + 0.6 * inner, inner])
 
 
@@ -150,7 +154,6 @@ def _rim_colours(eye: int) -> np.ndarray:
     beside = np.zeros(2 * (wide + high), bool)
     beside[wide : wide + high + 1] = True
     beside[-high:] = beside[0] = True
-    rows = []
-    for tone in (1.0, 0.8, 0.45):
-        rows.append(np.where(beside[:, None], 0.45 * SCLERA, tone * LID))
-    return np.concatenate(rows)
+    return np.concatenate(
+        [np.where(beside[:, None], 0.45 * SCLERA, tone * LID) for tone in (1.0, 0.8, 0.45)]
+    )

@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from collections.abc import Callable
 
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial.transform import Rotation
 
+from learning.export.morphs import PHOTO
 from learning.export.parts.opened import Opened, template_lines
 from learning.export.parts.part import Part, joined, sheet
+from learning.vectors import unit
 
 PIVOT_MM = np.array([0.0, -22.0, 6.0])
 """On the axis about which the template's jaw turns."""
 MOST_DEG = 35.0
 UPPER = ((8.4, 9.5), (6.6, 8.5), (7.5, 9.5), (7.0, 8.0), (6.8, 7.5), (10.0, 7.0), (9.5, 6.5))
 LOWER = ((5.2, 8.0), (5.8, 8.2), (6.7, 9.0), (6.9, 7.8), (7.0, 7.5), (10.6, 7.0), (10.0, 6.5))
-"""Width and height of the crowns from the middle, mm."""
+"""Width and height of the crowns from the middle, mm, as dental anatomy has them; from memory."""
 HALF_MM, DEPTH_MM = (29.0, 26.5), (44.0, 42.0)
-"""Of the upper and the lower arch: half an ellipse."""
+"""Half axes of the upper and the lower arch, which is half an ellipse."""
 BEHIND_MM, EDGE_MM = (5.5, 7.8), (-3.2, -1.2)
-"""Of the front teeth, upper and lower: behind the lips' line; their edge over it."""
+"""Distance of the front teeth, upper and lower, behind the lips' line, and their edges' height."""
 ENAMEL, GUM = np.array([0.80, 0.72, 0.59]), np.array([0.42, 0.14, 0.13])
 TONGUE, BAG = np.array([0.50, 0.17, 0.16]), np.array([0.17, 0.035, 0.03])
 CHIN = (6, 7, 8, 9, 10)
-UNDER_MM = 1.5
-"""Least depth under the skin."""
+UNDER_MM, DEEP_MM = 1.5, {"tongue": 5.0}
+"""Least depth under the skin, and by name of parts that lie deeper."""
 
 
 def jaw_turn(places: np.ndarray, offsets: np.ndarray, pivot: np.ndarray) -> Rotation:
@@ -53,10 +57,11 @@ def mouth(skin: Opened, places: np.ndarray, morphs: dict[str, np.ndarray]) -> li
     pivot = PIVOT_MM + (places[: len(own)] - own).mean(axis=0)
     front = places[:, 2] > middle[2] - 60
     front &= np.abs(places[:, 1] - middle[1]) < 45
-    smiles = [places, *(places + morphs[n] for n in ("photo",) if n in morphs)]
+    # Neither the neutral face nor the photograph's smile shows what is behind the lips.
+    smiles = [places, *([places + morphs[PHOTO]] if PHOTO in morphs else [])]
     walls = [LinearNDInterpolator(each[front, :2], each[front, 2]) for each in smiles]
 
-    def under(points: np.ndarray, least: float = UNDER_MM) -> np.ndarray:
+    def under(points: np.ndarray, least: float) -> np.ndarray:
         """Points moved back to where the skin covers them."""
         depth = np.min([np.nan_to_num(wall(points[:, :2]), nan=1e3) for wall in walls], axis=0)
         out = points.copy()
@@ -69,16 +74,9 @@ def mouth(skin: Opened, places: np.ndarray, morphs: dict[str, np.ndarray]) -> li
         return np.clip(1.05 - depth / 38, 0.06, 0.85)[:, None]
 
     found = []
-    for lower in (0, 1):
-        crowns, gum = _arch(lower)
-        for part in (crowns, gum):
-            at = under(scale * part.places + middle)
-            found.append(
-                Part(part.name, at, part.triangles, part.colours * lit(at), part.roughness)
-            )
-    tongue = _tongue()
-    at = under(scale * tongue.places + middle, 5.0)
-    found.append(Part("tongue", at, tongue.triangles, tongue.colours * lit(at), 0.3))
+    for part in (*_arch(0), *_arch(1), _tongue()):
+        at = under(scale * part.places + middle, DEEP_MM.get(part.name, UNDER_MM))
+        found.append(dataclasses.replace(part, places=at, colours=part.colours * lit(at)))
     turns = {name: jaw_turn(places, offsets, pivot) for name, offsets in morphs.items()}
     for part in found:
         if part.name.startswith("upper"):
@@ -89,14 +87,14 @@ def mouth(skin: Opened, places: np.ndarray, morphs: dict[str, np.ndarray]) -> li
     return [*found, _bag(skin, places, morphs, turns, pivot, under, lit, scale)]
 
 
+@functools.cache
 def _on_arch(lower: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Lengths along half an arch from its middle, its places (x, z) there and outward normals."""
     angle = np.linspace(0, np.pi / 2, 400)
     a, b = HALF_MM[lower], DEPTH_MM[lower]
     place = np.stack([a * np.sin(angle), b * (np.cos(angle) - 1)], axis=1)
     place[:, 1] -= BEHIND_MM[lower]
-    normal = np.stack([np.sin(angle) / a, np.cos(angle) / b], axis=1)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = unit(np.stack([np.sin(angle) / a, np.cos(angle) / b], axis=1))
     steps = np.linalg.norm(np.diff(place, axis=0), axis=1)
     return np.concatenate([[0], np.cumsum(steps)]), place, normal
 

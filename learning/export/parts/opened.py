@@ -14,7 +14,7 @@ CENTRE_MM, RADIUS_MM = np.array([31.5, -8.0, 68.5]), 12.2
 """Of the left eyeball in the template, over which its lids are modelled; that of a grown-up has a
 diameter of 22.0 to 24.8 mm [Bekerman2014]."""
 COLUMNS = 112
-"""Of the template's grid of quads."""
+"""Number of columns of the template's grid of quads."""
 CORNER = 3
 """Columns beside a corner of the mouth over which the lips part."""
 WITHIN_MM = 11.7
@@ -23,7 +23,7 @@ WITHIN_MM = 11.7
 
 @dataclasses.dataclass(frozen=True)
 class Lines:
-    """Where the template's grid of quads follows lips and lids.
+    """Rows and columns of the template's grid of quads at lips and lids.
 
     Attributes:
         mesh: the template's.
@@ -47,11 +47,6 @@ class Lines:
         row, first, last = self.mouth
         columns = np.arange(first + 1, last)
         return columns, self.grid[row - 1, columns], self.grid[row + 1, columns]
-
-    def ball(self, eye: int) -> np.ndarray:
-        """Vertices on an eyeball."""
-        top, bottom, first, last = self.eyes[eye]
-        return np.asarray(self.grid[top : bottom + 1, first : last + 1].ravel())
 
 
 @functools.cache
@@ -80,20 +75,19 @@ def template_lines() -> Lines:
 
 
 def _grid(quads: np.ndarray) -> np.ndarray:
-    """(rows, columns) what the quads of a grid have at their corners, above the last row.
+    """Arrange the corners of a grid's quads in (rows, columns), without the last row.
 
     Left and right of the middle they begin at different corners.
     """
-    columns = COLUMNS
-    of = quads.reshape(-1, columns, 4)
-    left = np.arange(columns) < columns // 2
+    of = quads.reshape(-1, COLUMNS, 4)
+    left = np.arange(COLUMNS) < COLUMNS // 2
     first = np.where(left, of[..., 1], of[..., 0])
     beside = np.where(left, of[..., 0], of[..., 3])
     return np.column_stack([first, beside[:, -1]])
 
 
 def is_ours(mesh: Mesh) -> bool:
-    """Whether a mesh has our own template's triangles and texture coordinates."""
+    """Test a mesh for our own template's triangles and texture coordinates."""
     own = template_lines().mesh
     return (
         len(mesh.vertices) == len(own.vertices)
@@ -147,26 +141,19 @@ def opened(mesh: Mesh) -> Opened:
     wide = grid.shape[1] - 1
     faces, corners = mesh.faces.copy(), mesh.face_uvs.copy()
     quad = np.arange(len(faces)).reshape(-1, wide)
-    uvs = [mesh.uvs]
+    shown = [np.arange(len(mesh.uvs))]
 
-    def repaint(quads: np.ndarray, old: np.ndarray, shown: np.ndarray) -> None:
+    def repaint(quads: np.ndarray, old: np.ndarray, other: np.ndarray) -> None:
         """Show other texture at some corners of some quads."""
-        new = sum(len(each) for each in uvs) + np.arange(len(old))
-        uvs.append(mesh.uvs[shown])  # type: ignore[index]
-        at = corners[quads]
-        for before, after in zip(old, new, strict=True):
-            at[at == before] = after
-        corners[quads] = at
+        corners[quads] = _renumbered(corners[quads], old, sum(map(len, shown)))
+        shown.append(other)
 
     row, first, last = lines.mouth
     columns, _, _ = lines.lips()
     between = np.arange(first, last)
     below = quad[row, between]
     copies = len(mesh.vertices) + np.arange(len(columns))
-    at = faces[below]
-    for before, after in zip(grid[row, columns], copies, strict=True):
-        at[at == before] = after
-    faces[below] = at
+    faces[below] = _renumbered(faces[below], grid[row, columns], len(mesh.vertices))
     repaint(quad[row - 1, between], uv[row, columns], uv[row - 2, columns])
     repaint(below, uv[row, columns], uv[row + 2, columns])
     gone = np.zeros(len(faces), bool)
@@ -182,7 +169,14 @@ def opened(mesh: Mesh) -> Opened:
     skin = Mesh(
         np.concatenate([mesh.vertices, mesh.vertices[grid[row, columns]]]),
         faces[~gone],
-        np.concatenate(uvs),
+        mesh.uvs[np.concatenate(shown)],
         corners[~gone],
     )
     return Opened(skin, upper, lower)
+
+
+def _renumbered(quads: np.ndarray, old: np.ndarray, first: int) -> np.ndarray:
+    """Quads whose numbers among `old` become `first`, `first` + 1, ..."""
+    place = np.argsort(old)
+    found = np.minimum(np.searchsorted(old, quads, sorter=place), len(old) - 1)
+    return np.where(old[place[found]] == quads, first + place[found], quads)

@@ -29,11 +29,19 @@ class Part:
     roughness: float
     morphs: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
-    def normals(self, offsets: np.ndarray | float = 0.0) -> np.ndarray:
-        """(k, 3) unit normals, with offsets of its vertices."""
-        found = vertex_normals(self.places + offsets, self.triangles)
-        found[np.linalg.norm(found, axis=1) < 0.5] = (0, 0, 1)
-        return found
+    def normals(self) -> np.ndarray:
+        """(k, 3) unit normals."""
+        return directed(vertex_normals(self.places, self.triangles))
+
+    def turned(self, offsets: np.ndarray) -> np.ndarray:
+        """(k, 3) differences of the normals after (k, 3) offsets of the vertices."""
+        return directed(vertex_normals(self.places + offsets, self.triangles)) - self.normals()
+
+
+def directed(normals: np.ndarray) -> np.ndarray:
+    """(n, 3) normals; +z where all triangles of a vertex are degenerate."""
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 0.5, normals, [0.0, 0.0, 1.0])
 
 
 def joined(name: str, parts: list[Part]) -> Part:

@@ -13,14 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from learning.export.command import export_command
 from learning.export.morphs import morph_targets
-from learning.export.parts.eyes import look_names
+from learning.export.parts.eyes import COLUMNS, FRONT, look_names
 from learning.export.parts.furnish import Furnished, furnished
 from learning.export.parts.mouth import PIVOT_MM, jaw_turn
 from learning.export.parts.opened import CENTRE_MM, RADIUS_MM, template_lines
 from learning.export.source import Source, read_source
 from learning.render.uv import rasterise
 from lightstage.commands import quiet
-from lightstage.formats.mesh import write_obj
+from lightstage.formats.mesh import read_mesh, write_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
 from tests.learning.export.called import accessor
@@ -73,7 +73,7 @@ def test_behind_closed_lips_and_lids_nothing_is_before_the_skin(head: Furnished)
     lids = next(each for each in head.parts if each.name == "lidsLeft")
     edge = lids.places[: len(lids.places) // 3]
     # The white alone is a ball, the cornea bulges: |p|^2 = 2 p c + d, by least squares.
-    white = ball.places[-20 * 64 :]
+    white = ball.places[FRONT * COLUMNS :]
     terms = np.column_stack([2 * white, np.ones(len(white))])
     centre = np.linalg.lstsq(terms, (white**2).sum(axis=1))[0][:3]
     np.testing.assert_allclose(centre, CENTRE_MM, atol=4.1)
@@ -121,7 +121,7 @@ def test_the_iris_has_the_painted_colour_and_brown_replaces_one_that_is_too_ligh
 ) -> None:
     def iris(found: Furnished) -> np.ndarray:
         ball = next(each for each in found.parts if each.name == "eyeLeft")
-        return np.asarray(ball.colours.reshape(72, 64, 3)[28].mean(axis=0))
+        return np.asarray(ball.colours.reshape(-1, COLUMNS, 3)[28].mean(axis=0))
 
     blue = iris(head)
     assert blue[2] > 2 * blue[0]
@@ -159,3 +159,13 @@ def test_a_glb_has_the_parts_with_the_skins_morph_targets_and_the_page_has_them_
     written = json.loads(page.split('id="data">')[1].split("</script>")[0])
     assert list(written["morphs"]) == names
     assert len(written["parts"]) == len(materials) - 1
+
+
+def test_formats_without_morph_targets_have_the_closed_skin_with_the_photographs_expression(
+    fitted: ProcessedFolder, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    export_command(fitted.root, None, "gltf,obj", out, None, None, quiet, opens_with="photo")
+    written, shown = read_mesh(out / "head.obj"), read_mesh(fitted.registered_mesh)
+    np.testing.assert_allclose(written.vertices, shown.vertices, atol=1e-4)
+    assert np.array_equal(written.faces, shown.faces)

@@ -15,8 +15,8 @@ from learning.photo import command
 from learning.photo.command import FitRequest, read_all
 from learning.photo.eye_texels import eye_texels, with_eyes
 from learning.photo.eyes import EYES, SKIN, openings
-from learning.photo.fit import aside_deg
 from learning.photo.picture import read_photograph
+from learning.photo.shape_fit import aside_deg
 from learning.photo.unwrap import unwrap
 from learning.render.uv import rasterise
 from lightstage.errors import LightstageError

@@ -69,13 +69,12 @@ def test_a_clear_pair_hides_its_frame_and_not_the_eyes() -> None:
     picture = with_glasses(bare, dark=False)
     found = worn_before(picture, marks(), camera_before())
     assert found is not None
-    hidden, dark = found
-    assert not dark
+    assert not found.dark
     frame = (picture != bare).any(axis=2)
-    assert (hidden & frame).sum() > 0.97 * frame.sum()
+    assert (found.hidden & frame).sum() > 0.97 * frame.sum()
     for eye in EYES_MM:
         column, row = pixel(tuple(eye))
-        assert not hidden[row - 8 : row + 8, column - 20 : column + 20].any()
+        assert not found.hidden[row - 8 : row + 8, column - 20 : column + 20].any()
 
 
 def test_dark_lenses_hide_all_that_is_behind_them() -> None:
@@ -83,11 +82,10 @@ def test_dark_lenses_hide_all_that_is_behind_them() -> None:
     picture = with_glasses(bare, dark=True)
     found = worn_before(picture, marks(), camera_before())
     assert found is not None
-    hidden, dark = found
-    assert dark
+    assert found.dark
     column = np.abs(np.arange(SIZE) - SIZE / 2) < 100
     lenses = (picture != bare).any(axis=2) & column
-    assert (hidden & lenses).sum() > 0.98 * lenses.sum()
+    assert (found.hidden & lenses).sum() > 0.98 * lenses.sum()
 
 
 def test_a_photograph_from_the_side_is_left_as_it_is() -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from learning.checkpoint import load_whole_face, shipped_weights
 from learning.errors import MapsError
 from learning.infer import Inferred
-from learning.photo import fit
+from learning.photo import look
 from learning.photo.config import FitConfig
 from learning.photo.fit import fit_head
 from learning.photo.picture import read_photograph
@@ -35,7 +35,7 @@ def test_a_hat_decides_neither_light_nor_tone_where_no_light_explains_the_photog
         # As where the light of a photograph is not found: the network's answer alone.
         return infer_whole_face(*given, **{**more, "refine_seconds": 0.0})
 
-    monkeypatch.setattr(fit, "infer_whole_face", unexplained)
+    monkeypatch.setattr(look, "infer_whole_face", unexplained)
     rgb = read_photograph(shot.path).rgb_linear
     brows, _ = shot.camera.project(shot.mesh.vertices[template.landmarks[17:27]])
     brim = int(brows[:, 1].min()) - 20
@@ -60,7 +60,7 @@ def test_a_hat_decides_neither_light_nor_tone_where_no_light_explains_the_photog
 def test_a_later_photograph_in_hardly_any_light_gives_the_shape_alone(
     shot: Shot, template: Template, places: Places, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fit, "SEARCH_SECONDS", 0.0)  # no light is searched for
+    monkeypatch.setattr(look, "SEARCH_SECONDS", 0.0)  # no light is searched for
     rgb = read_photograph(shot.path).rgb_linear
     good, dark = (
         Photograph(name, light * rgb, shot.landmarks_px, FOCAL_PX)
