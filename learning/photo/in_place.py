@@ -19,6 +19,8 @@ from lightstage.formats.environment import LightSet, read_lights
 from lightstage.formats.exr import read_exr
 from lightstage.rig import Camera, look_at
 
+PICTURE_ROWS = 768
+"""Of the texture in pictures, at most: a texel is about a pixel then."""
 GREY = 0.25
 """Of the background, linear."""
 AROUND = 0.08
@@ -128,9 +130,17 @@ def neutral_sides(source: Source, size_px: tuple[int, int]) -> np.ndarray:
 
 def _textured(source: Source) -> TexturedHead:
     """A head as it is rendered, with the gloss that a fit takes for granted."""
-    raster = rasterise(source.mesh, *source.size)
-    maps = {name: image.astype(np.float32) for name, image in source.maps.items()}
+    rows, columns = source.size
+    if rows > PICTURE_ROWS:
+        rows, columns = PICTURE_ROWS, columns * PICTURE_ROWS // rows
+    raster = rasterise(source.mesh, rows, columns)
+    maps = {
+        name: cv2.resize(
+            source.spread(image).astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA
+        )
+        for name, image in source.maps.items()
+    }
     maps["position"] = raster.interpolate(source.mesh.vertices)
-    ones = np.ones(source.size, np.float32)
+    ones = np.ones((rows, columns), np.float32)
     skin = skin_maps_from(maps, raster.covered, SHININESS * ones, TRANSLUCENCY * ones)
     return TexturedHead(source.mesh, raster, skin, raster.covered)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import numba
 import numpy as np
 from scipy import ndimage
 
@@ -11,9 +12,6 @@ from learning.vectors import unit
 from lightstage.errors import FormatError
 from lightstage.formats.mesh import Mesh, vertex_normals
 from processing.atlas.raster import rasterise as atlas_raster
-
-BAND_ROWS = 256
-"""Rows that are interpolated at once."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,18 +36,33 @@ class UvRaster:
     def interpolate(self, values: np.ndarray) -> np.ndarray:
         """Per-vertex (n, k) values at texels: (rows, columns, k) float32, zero outside."""
         out = np.zeros((*self.face.shape, values.shape[1]), np.float32)
-        # The corners of all texels of a large texture would take gigabytes.
-        for start in range(0, len(out), BAND_ROWS):
-            band = slice(start, start + BAND_ROWS)
-            face = self.face[band]
-            here = face >= 0
-            corners = values[self.triangles[face[here]]]
-            out[band][here] = np.einsum("nck,nc->nk", corners, self.barycentric[band][here])
+        triangles = np.ascontiguousarray(self.triangles, np.int32)
+        _mixed(self.face, self.barycentric, triangles, np.ascontiguousarray(values, float), out)
         return out
 
     def normals(self, mesh: Mesh) -> np.ndarray:
         """(rows, columns, 3) unit interpolated vertex normals of the mesh, zero outside."""
         return unit(self.interpolate(vertex_normals(mesh.vertices, self.triangles)))
+
+
+@numba.njit(cache=True)
+def _mixed(
+    face: np.ndarray,
+    barycentric: np.ndarray,
+    triangles: np.ndarray,
+    values: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    rows, columns = face.shape
+    for row in range(rows):
+        for column in range(columns):
+            t = face[row, column]
+            if t < 0:
+                continue
+            b0, b1, b2 = barycentric[row, column]
+            i, j, m = triangles[t]
+            for k in range(values.shape[1]):
+                out[row, column, k] = b0 * values[i, k] + b1 * values[j, k] + b2 * values[m, k]
 
 
 def rasterise(mesh: Mesh, rows: int, columns: int) -> UvRaster:

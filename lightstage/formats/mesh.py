@@ -304,23 +304,31 @@ def write_obj(mesh: Mesh, path: Path, normals: np.ndarray | None = None) -> Path
     """
     if path.suffix.lower() != ".obj":
         raise FormatError(path, found=f"suffix {path.suffix!r}", expected=".obj")
-    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices.tolist()]
+    parts = [_rows("v %.6f %.6f %.6f\n", mesh.vertices)]
     if mesh.uvs is not None:
-        lines += [f"vt {u:.8f} {v:.8f}" for u, v in mesh.uvs.tolist()]
+        parts.append(_rows("vt %.8f %.8f\n", mesh.uvs))
     if normals is not None:
-        lines += [f"vn {x:.6f} {y:.6f} {z:.6f}" for x, y, z in normals.tolist()]
+        parts.append(_rows("vn %.6f %.6f %.6f\n", normals))
     # One smooth surface: without this and without normals Blender shades every face flat.
-    lines.append("s 1")
-    has_uv = mesh.face_uvs is not None
-    # Vertex, texture coordinate, normal.
-    corner = "{0}" + ("/{1}" if has_uv else "")
+    parts.append("s 1\n")
+    # Of each corner vertex, texture coordinate, normal.
+    numbers, corner = [mesh.faces], " %d"
+    if mesh.face_uvs is not None:
+        numbers.append(mesh.face_uvs)
+        corner += "/%d"
     if normals is not None:
-        corner += "/{0}" if has_uv else "//{0}"
-    uv_rows = mesh.faces.tolist() if mesh.face_uvs is None else mesh.face_uvs.tolist()
-    for row, uv_row in zip(mesh.faces.tolist(), uv_rows, strict=True):
-        corners = [corner.format(i + 1, t + 1) for i, t in zip(row, uv_row, strict=True) if i >= 0]
-        lines.append("f " + " ".join(corners))
-    return write_text(path, "\n".join(lines) + "\n")
+        numbers.append(mesh.faces)
+        corner += "/%d" if mesh.face_uvs is not None else "//%d"
+    there = mesh.faces >= 0
+    lines = ["f" + corner * count + "\n" for count in range(there.shape[1] + 1)]
+    pattern = "".join([lines[count] for count in there.sum(axis=1).tolist()])
+    parts.append(pattern % tuple((np.stack(numbers, axis=-1)[there] + 1).ravel().tolist()))
+    return write_text(path, "".join(parts))
+
+
+def _rows(pattern: str, values: np.ndarray) -> str:
+    """(n, k) numbers, each row by a pattern: one format for all takes half of the time."""
+    return (pattern * len(values)) % tuple(values.ravel().tolist())
 
 
 def read_ply(path: Path) -> Mesh:

@@ -132,17 +132,20 @@ def from_tangent_space(
     Returns:
         (k, 3) float32; the mesh's normal where the texture has no tangent, zero where that is zero.
     """
-    face = raster.face.ravel()[texels]
-    second, third = raster.barycentric.reshape(-1, 2)[texels].T.astype(np.float64)
-    weights = np.stack([1 - second - third, second, third], axis=1)
-    normal = np.einsum("kc,kcx->kx", weights, normals[triangles[face]])
-    along = np.einsum("kc,kcx->kx", weights, frames.tangents[frames.corner[face]])
-    across = frames.sign[face, None] * np.cross(normal, along)
-    given = np.asarray(tangent, np.float64)
-    flat = np.linalg.norm(across, axis=1) <= 1e-9
-    given = np.where(flat[:, None], [0.0, 0.0, 1.0], given)
-    world = given[:, :1] * along + given[:, 1:2] * across + given[:, 2:] * normal
-    return unit(world).astype(np.float32)
+    out = np.empty((len(texels), 3), np.float32)
+    _decode(
+        np.ascontiguousarray(tangent, np.float32),
+        raster.face.ravel(),
+        raster.barycentric.reshape(-1, 2),
+        texels,
+        np.ascontiguousarray(triangles, np.int32),
+        np.ascontiguousarray(normals, np.float64),
+        frames.corner,
+        frames.tangents,
+        frames.sign,
+        out,
+    )
+    return out
 
 
 @numba.njit(cache=True, parallel=True)
@@ -159,19 +162,9 @@ def _encode(
     out: np.ndarray,
 ) -> None:
     for k in numba.prange(len(texels)):
-        t = face[texels[k]]
-        b1, b2 = barycentric[texels[k], 0], barycentric[texels[k], 1]
-        b0 = 1.0 - b1 - b2
-        i, j, m = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        n0 = b0 * normals[i, 0] + b1 * normals[j, 0] + b2 * normals[m, 0]
-        n1 = b0 * normals[i, 1] + b1 * normals[j, 1] + b2 * normals[m, 1]
-        n2 = b0 * normals[i, 2] + b1 * normals[j, 2] + b2 * normals[m, 2]
-        i, j, m = corner[t, 0], corner[t, 1], corner[t, 2]
-        a0 = b0 * tangents[i, 0] + b1 * tangents[j, 0] + b2 * tangents[m, 0]
-        a1 = b0 * tangents[i, 1] + b1 * tangents[j, 1] + b2 * tangents[m, 1]
-        a2 = b0 * tangents[i, 2] + b1 * tangents[j, 2] + b2 * tangents[m, 2]
-        s0, s1, s2 = _cross(n0, n1, n2, a0, a1, a2)
-        s0, s1, s2 = sign[t] * s0, sign[t] * s1, sign[t] * s2
+        n0, n1, n2, a0, a1, a2, s0, s1, s2 = _frame(
+            texels[k], face, barycentric, triangles, normals, corner, tangents, sign
+        )
         # Cramer's rule for x a + y b + z n = world.
         p0, p1, p2 = _cross(s0, s1, s2, n0, n1, n2)
         q0, q1, q2 = _cross(n0, n1, n2, a0, a1, a2)
@@ -189,6 +182,63 @@ def _encode(
         out[k, 0] = x / length
         out[k, 1] = y / length
         out[k, 2] = z / length
+
+
+@numba.njit(cache=True, parallel=True)
+def _decode(
+    tangent: np.ndarray,
+    face: np.ndarray,
+    barycentric: np.ndarray,
+    texels: np.ndarray,
+    triangles: np.ndarray,
+    normals: np.ndarray,
+    corner: np.ndarray,
+    tangents: np.ndarray,
+    sign: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    for k in numba.prange(len(texels)):
+        n0, n1, n2, a0, a1, a2, s0, s1, s2 = _frame(
+            texels[k], face, barycentric, triangles, normals, corner, tangents, sign
+        )
+        x, y, z = tangent[k, 0], tangent[k, 1], tangent[k, 2]
+        if s0 * s0 + s1 * s1 + s2 * s2 <= 1e-18:
+            x, y, z = np.float32(0), np.float32(0), np.float32(1)
+        w0 = x * a0 + y * s0 + z * n0
+        w1 = x * a1 + y * s1 + z * n1
+        w2 = x * a2 + y * s2 + z * n2
+        length = np.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
+        if not 1e-12 < length < np.inf:
+            w0, w1, w2, length = 0.0, 0.0, 0.0, 1.0
+        out[k, 0] = w0 / length
+        out[k, 1] = w1 / length
+        out[k, 2] = w2 / length
+
+
+@numba.njit(cache=True)
+def _frame(
+    texel: int,
+    face: np.ndarray,
+    barycentric: np.ndarray,
+    triangles: np.ndarray,
+    normals: np.ndarray,
+    corner: np.ndarray,
+    tangents: np.ndarray,
+    sign: np.ndarray,
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    t = face[texel]
+    b1, b2 = barycentric[texel, 0], barycentric[texel, 1]
+    b0 = 1.0 - b1 - b2
+    i, j, m = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+    n0 = b0 * normals[i, 0] + b1 * normals[j, 0] + b2 * normals[m, 0]
+    n1 = b0 * normals[i, 1] + b1 * normals[j, 1] + b2 * normals[m, 1]
+    n2 = b0 * normals[i, 2] + b1 * normals[j, 2] + b2 * normals[m, 2]
+    i, j, m = corner[t, 0], corner[t, 1], corner[t, 2]
+    a0 = b0 * tangents[i, 0] + b1 * tangents[j, 0] + b2 * tangents[m, 0]
+    a1 = b0 * tangents[i, 1] + b1 * tangents[j, 1] + b2 * tangents[m, 1]
+    a2 = b0 * tangents[i, 2] + b1 * tangents[j, 2] + b2 * tangents[m, 2]
+    s0, s1, s2 = _cross(n0, n1, n2, a0, a1, a2)
+    return n0, n1, n2, a0, a1, a2, sign[t] * s0, sign[t] * s1, sign[t] * s2
 
 
 @numba.njit(cache=True, inline="always")
