@@ -60,7 +60,7 @@ SAMPLE_S = 0.25
 
 @dataclasses.dataclass
 class Trial:
-    """What a trial came to.
+    """The outcome of a trial.
 
     Attributes:
         shots: patterns photographed by all cameras.

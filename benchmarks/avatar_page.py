@@ -1,4 +1,4 @@
-"""What a frame of a head's page costs where there is no graphics card: Chromium's software WebGL.
+"""Run time of a frame of a head's page without a graphics card: Chromium's software WebGL.
 
 `python -m benchmarks.avatar_page` opens the page of our template with noise in all maps, lights it
 anew for each frame, and measures the time until its pixels can be read.

@@ -74,7 +74,7 @@ class Known:
         return tone_of(self.true_ita_deg)
 
     def photograph(self) -> Photograph:
-        """What the fit reads; landmarks are sought by the code as it is."""
+        """The photograph that the fit reads; landmarks are sought by the code as it is."""
         told = self.focal_px if self.shooting.told else None
         return of_codes(self.codes, marks(), self.name, told)
 

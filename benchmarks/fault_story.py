@@ -69,7 +69,7 @@ def trial_story(rig: Rig, shots: int, seed: int) -> Story:
 
 
 def operator_mends(stage: CodedStage) -> None:
-    """What an operator does before going on: batteries, wheels and cables of every camera."""
+    """Mend as an operator does before going on: batteries, wheels and cables of every camera."""
     for camera_id in stage.cameras.camera_ids:
         folder = stage.cameras.folder(camera_id)
         state = json.loads((folder / "state.json").read_text())
@@ -85,6 +85,6 @@ def operator_mends(stage: CodedStage) -> None:
 
 
 def faults_injected(log: Path) -> collections.Counter[str]:
-    """How often each fault happened."""
+    """Count how often each fault happened."""
     lines = [json.loads(line) for line in log.read_text().splitlines()]
     return collections.Counter(str(line["name"]) for line in lines)

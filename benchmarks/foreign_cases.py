@@ -80,7 +80,7 @@ class Case:
 
     @property
     def seen(self) -> bool:
-        """Whether it was looked at while working."""
+        """Is true of people who were looked at while working."""
         return self.seed < FIRST_UNSEEN
 
     @property
@@ -112,7 +112,7 @@ class Case:
         return RIGS[self.rig](rig_of(rows))
 
     def world(self, wearing: Subject, rig: Rig, lamps: Lamps | None = None) -> ForeignWorld:
-        """What the photographs show, or the same place under other lamps as it is."""
+        """The place that the photographs show, or the same place under other lamps as it is."""
         other = lamps is not None
         return ForeignWorld(
             wearing,

@@ -120,7 +120,7 @@ class _Canvas:
         return np.asarray(np.clip(chart.look_up(across, up), 0, 1) * self._inside)[..., None]
 
     def area(self, outline: np.ndarray, soft_mm: float) -> Chart:
-        """What (n, 2) mm encloses, with a soft edge."""
+        """The area that (n, 2) mm encloses, with a soft edge."""
         chart = empty(*EDGE, PIXEL_MM)
         place = (outline - (chart.left, chart.top)) / (PIXEL_MM, -PIXEL_MM)
         cv2.fillPoly(chart.picture, [np.round(place).astype(np.int32)], 1.0)

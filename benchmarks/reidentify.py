@@ -60,7 +60,7 @@ class Release:
 
 @dataclasses.dataclass(frozen=True)
 class Score:
-    """How often an attacker is right about two patches that he puts together, and by chance."""
+    """Shares in which an attacker is right about two patches that he puts together, and by chance."""
 
     right: float
     chance: float
@@ -120,7 +120,7 @@ def plain_release(store: Store, folder: Path) -> Release:
 
 
 def published_release(store: Store, folder: Path) -> Release:
-    """What `dataset publish` writes; which place each patch is of, the judge finds by its bytes."""
+    """The release of `dataset publish`; the judge finds each patch's place by its bytes."""
     publish(store, folder, about=read_about(ABOUT))
     layout = WITH.layout(store)
     known = {

@@ -1,4 +1,4 @@
-"""What becomes of a capture under each fault: whole, refused, or wrong without a word?
+"""Captures under each fault: whole, refused, or wrong without a word.
 
 Every fault that a story can have happens to small captures, at a random moment each time. The
 photographs of a capture that ends well show who took them under which light (by their pixels);
@@ -54,7 +54,7 @@ def small_rig() -> Rig:
 
 
 def one_capture(rig: Rig, desk: Path, faults: Sequence[Fault], seed: int) -> tuple[str, bool]:
-    """How a capture under a story ends, and whether a fault happened in it."""
+    """Run a capture under a story; how it ends, and whether a fault happened in it."""
     root = desk / "session"
     with CodedStage(desk / "stage", rig, Story(faults, seed), seed) as coded:
         cameras = read_cameras_file(coded.cameras_path)

@@ -1,4 +1,4 @@
-"""How many lights does an environment need, and what do they cost?"""
+"""The number of lights that an environment needs, and their run time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What does a made-up person cost, and how right are its colour and its normals?"""
+"""Run time of a made-up person, and errors of its colour and its normals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `template-points` does: find the detector's points on a template, and write them."""
+"""`template-points`: find the detector's points on a template, and write them."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def template_points(
 
 
 def _found(points: SurfacePoints) -> int:
-    """How many points have a place."""
+    """Count the points that have a place."""
     return int((points.triangles[:, 0] >= 0).sum())
 
 

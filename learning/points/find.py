@@ -25,7 +25,7 @@ OFF_MM = 0.5
 
 @dataclasses.dataclass(frozen=True)
 class PointsConfig:
-    """How a mesh is drawn."""
+    """Settings by which a mesh is drawn."""
 
     yaws_deg: tuple[float, ...] = (-50.0, -35.0, -20.0, -8.0, 8.0, 20.0, 35.0, 50.0)
     """Directions of the views to the person's left; each is drawn with each of `pitches_deg`."""

@@ -109,7 +109,7 @@ def lit(
     shadows: np.ndarray,
     power: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What arrives at each pixel's place, and what it mirrors.
+    """Irradiance at each pixel's place, and the light that it mirrors.
 
     Args:
         face: (h, w) int32 of `draw`; nothing is computed where it is -1.

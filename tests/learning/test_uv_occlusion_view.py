@@ -37,6 +37,17 @@ def test_every_texel_of_a_full_tile_is_covered_and_interpolates_exactly() -> Non
     np.testing.assert_allclose(position[..., 1], np.broadcast_to(y[:, None], (30, 20)), atol=1e-4)
 
 
+@pytest.mark.parametrize("kind", [np.float64, np.float32, bool])
+def test_texels_mix_their_corners_as_a_plain_sum_does(kind: type, ball_mesh: Mesh) -> None:
+    raster = rasterise(ball_mesh, 48, 32)
+    given = np.random.default_rng(1).normal(size=(len(ball_mesh.vertices), 4)).astype(kind)
+    corners = given.astype(float)[raster.triangles[raster.face]]
+    plain = np.einsum("hwck,hwc->hwk", corners, raster.barycentric.astype(float))
+    plain[~raster.covered] = 0
+    assert not raster.covered.all()
+    np.testing.assert_allclose(raster.interpolate(given), plain, atol=1e-6)
+
+
 @settings(max_examples=50, deadline=None)
 @given(corners=st.lists(st.tuples(st.floats(-2, 3), st.floats(-2, 3)), min_size=3, max_size=3))
 def test_any_triangle_covers_the_texels_inside_it(corners: list[tuple[float, float]]) -> None:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from processing.atlas.raster import rasterise
-from processing.atlas.tangents import tangent_frames, to_tangent_space
+from processing.atlas.tangents import from_tangent_space, tangent_frames, to_tangent_space
 from tests.processing.shapes import ellipsoid
 
 
@@ -95,3 +95,26 @@ def test_texture_without_area_has_a_straight_normal():
         mesh.vertices, mesh.triangles(), flat, mesh.triangle_uvs(), mesh.vertices / 100
     )
     assert (frames.tangents == 0).all()
+
+
+def test_the_way_back_is_the_renderers_and_never_silently_wrong():
+    mesh = ellipsoid(12, 16)
+    normals = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
+    rng = np.random.default_rng(3)
+    found, raster, texels, frames = encoded(mesh, normals, lambda t: rng.normal(size=(len(t), 3)))
+    usable = np.linalg.norm(frames.tangents[frames.corner[raster.face.ravel()[texels]]], axis=2)
+    usable = (usable > 0.5).all(axis=1)
+    triangles = mesh.triangles()
+    true = decoded(found, mesh, normals, raster, texels, frames)
+    back = from_tangent_space(found, raster, texels, triangles, normals, frames)
+    assert usable.sum() > 100
+    np.testing.assert_allclose(back[usable], true[usable], atol=1e-6)
+    broken = found.copy()
+    broken[0::3], broken[1::3], broken[2::3] = 0, np.nan, np.inf
+    flat = np.zeros_like(normals)
+    for given_normals in (normals, flat):
+        back = from_tangent_space(broken, raster, texels, triangles, given_normals, frames)
+        size = np.linalg.norm(back, axis=1)
+        # A texel without a direction has none; without a tangent it is the mesh's normal.
+        assert (np.isclose(size, 1, atol=1e-5) | (size == 0)).all()
+    assert not back.any()
