@@ -60,7 +60,7 @@ class Release:
 
 @dataclasses.dataclass(frozen=True)
 class Score:
-    """Shares in which an attacker is right about two patches that he puts together, and by chance."""
+    """Shares in which an attacker is right about two patches that he joins, and by chance."""
 
     right: float
     chance: float
